@@ -1,0 +1,1 @@
+"""Devices that take a capture: they write a capture bundle."""

@@ -1,0 +1,1 @@
+"""Simulated devices with a known truth, for demonstrations and tests."""

@@ -1,0 +1,1 @@
+"""Stages that turn a capture bundle into an asset."""

@@ -1,0 +1,1 @@
+"""The stage engine: declared inputs and outputs, content hashes, skipping, atomic writes."""

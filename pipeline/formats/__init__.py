@@ -1,0 +1,1 @@
+"""The files that cross the layers: capture bundle, workspace artifacts, asset."""

@@ -1,0 +1,1 @@
+"""Geometry kernels shared by the pipeline, the renderers and the hardware: no files, no formats."""

@@ -1,0 +1,1 @@
+"""Structured light: frames of patterns become projector coordinates, and those become points."""

@@ -1,0 +1,1 @@
+"""Programs that draw an asset."""
