@@ -21,10 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel
+
+from pipeline.formats.artifact import Artifact
 
 T = TypeVar("T")
 
@@ -49,25 +50,6 @@ class Log(Protocol):
         """Record work that the scene did not need."""
 
 
-@dataclass(frozen=True)
-class Artifact(Generic[T]):
-    """One result in the workspace: its files, and how to load and save them.
-
-    Parameters
-    ----------
-    files
-        Paths relative to the workspace, all in the folder of one stage.
-    load
-        Takes the workspace folder and returns the value, checking sizes before allocating.
-    save
-        Takes a workspace folder and the value, and writes exactly ``files``, deterministically.
-    """
-
-    files: tuple[str, ...]
-    load: Callable[[Path], T]
-    save: Callable[[Path, T], None]
-
-
 def reads(artifact: Artifact[T], *, optional: bool = False) -> Any:  # noqa: ANN401 - as dataclasses.field
     """Declare an input; an optional one is None when its stage had no work."""
     return field(metadata={"artifact": artifact, "optional": optional})
@@ -88,7 +70,10 @@ def writes(artifact: Artifact[T]) -> Any:  # noqa: ANN401
 
 @dataclass(frozen=True)
 class Stage:
-    """A named, versioned stage; raise ``version`` when the same inputs give other outputs."""
+    """A named, versioned stage; raise ``version`` when the same inputs give other outputs.
+
+    ``folder`` is the stage's folder in the workspace, its name if left out.
+    """
 
     name: str
     version: int
@@ -96,3 +81,4 @@ class Stage:
     outputs: type[Any]
     config: type[BaseModel]
     run: Callable[[Any, Any, Log], Any]
+    folder: str = ""

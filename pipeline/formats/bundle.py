@@ -37,7 +37,9 @@ class Bundle:
         """Read an image as linear light, 1.0 = full scale: (rows, columns[, 3 RGB]) float32."""
         raise NotImplementedError
 
-    def read_stored(self, file: str) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
+    def read_stored(
+        self, file: str
+    ) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
         """Read an image as stored (RGB order, native depth); see :meth:`full_scale`."""
         raise NotImplementedError
 
