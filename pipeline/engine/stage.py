@@ -50,12 +50,12 @@ class Log(Protocol):
         """Record work that the scene did not need."""
 
 
-def reads(artifact: Artifact[T], *, optional: bool = False) -> Any:  # noqa: ANN401 - as dataclasses.field
+def reads(artifact: Artifact[T], *, optional: bool = False) -> Any:
     """Declare an input; an optional one is None when its stage had no work."""
     return field(metadata={"artifact": artifact, "optional": optional})
 
 
-def reads_bundle(*purposes: str) -> Any:  # noqa: ANN401
+def reads_bundle(*purposes: str) -> Any:
     """Declare that the stage reads the bundle: the sequences of these purposes.
 
     ``photos`` stands for the photographs with their darks, flats and colour target.
@@ -63,7 +63,7 @@ def reads_bundle(*purposes: str) -> Any:  # noqa: ANN401
     return field(metadata={"purposes": purposes})
 
 
-def writes(artifact: Artifact[T]) -> Any:  # noqa: ANN401
+def writes(artifact: Artifact[T]) -> Any:
     """Declare an output."""
     return field(metadata={"artifact": artifact})
 

@@ -25,8 +25,7 @@ class Asset:
     mask
         (rows, columns) bool: the canvas.
     diffuse, specular, lobe
-        (rows, columns, 3) float32 as in :class:`~pipeline.formats.reflectance_maps.ReflectanceMaps`,
-        0 outside the canvas.
+        (rows, columns, 3) float32 as in ``ReflectanceMaps``, 0 outside the canvas.
     boxes
         The relief above the bump-mapped plane; may be empty.
     notes

@@ -38,5 +38,5 @@ class Boxes:
     highest_at: NDArray[np.int32]
 
     def __len__(self) -> int:
-        """Number of boxes."""
+        """Count the boxes."""
         return len(self.position)
