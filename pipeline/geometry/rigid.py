@@ -55,8 +55,8 @@ class RigidTransform:
     @classmethod
     def from_matrix(cls, matrix: NDArray[np.floating]) -> RigidTransform:
         """Take the rotation and translation of a (4, 4) homogeneous matrix."""
-        matrix = np.asarray(matrix, dtype=np.float64)
-        return cls(matrix[:3, :3].copy(), matrix[:3, 3].copy())
+        homogeneous = np.array(matrix, dtype=np.float64)
+        return cls(homogeneous[:3, :3], homogeneous[:3, 3])
 
 
 def rotation_about_axis(
