@@ -1,0 +1,1 @@
+"""Relief above the bump-mapped plane is put into boxes."""

@@ -1,0 +1,1 @@
+"""The subcommands; each composes what it needs, importing late."""

@@ -1,0 +1,1 @@
+"""The canvas is cut out of the range image and becomes a height field."""

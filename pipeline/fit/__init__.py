@@ -1,0 +1,1 @@
+"""One Lafortune lobe per texel."""

@@ -1,0 +1,1 @@
+"""Everything a renderer needs becomes the asset."""

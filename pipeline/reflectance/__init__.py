@@ -1,0 +1,1 @@
+"""Photographs become samples of reflectance per texel."""

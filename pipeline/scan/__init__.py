@@ -1,0 +1,1 @@
+"""The scan sequence becomes a range image."""
