@@ -121,7 +121,7 @@ def shaded_relief(
 def display(linear: NDArray[np.floating], *, percentile: float = 99.5) -> Picture:
     """Show linear light: the given percentile becomes white, then a gamma of 2.2; NaN is paper."""
     image = linear if linear.ndim == 3 else np.repeat(linear[..., None], 3, axis=2)
-    finite: NDArray[np.bool_] = np.isfinite(image).all(axis=2)
+    finite = np.asarray(np.isfinite(image).all(axis=2))
     white = float(np.percentile(image[finite], percentile)) if finite.any() else 1.0
     level = np.where(finite[..., None], image, 0) / (white or 1.0)
     picture: Picture = np.rint(255 * np.clip(level, 0, 1) ** (1 / 2.2)).astype(np.uint8)
