@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.errors import ImpastoError
+from pipeline.formats.artifact import Artifact
+from pipeline.formats.exr import read_exr, write_exr
 
 
 @dataclass(frozen=True)
@@ -61,3 +67,92 @@ class ReflectanceMaps:
     count: NDArray[np.int32]
     lobe_observed: NDArray[np.bool_]
     absolute: bool
+
+
+_SAMPLE_FILES = ("reflectance/samples.npy", "reflectance/photos.json")
+_MAP_FILES = (
+    "fit/diffuse.exr",
+    "fit/specular.exr",
+    "fit/lobe.exr",
+    "fit/quality.exr",
+    "fit/fit.json",
+)
+
+
+def _save_samples(workspace: Path, samples: ReflectanceSamples) -> None:
+    array, description = (workspace / file for file in _SAMPLE_FILES)
+    np.save(array, np.ascontiguousarray(samples.brdf, dtype=np.float32), allow_pickle=False)
+    photos = [
+        {"file": name, "view_mm": view.tolist(), "light_mm": light.tolist()}
+        for name, view, light in zip(samples.names, samples.view_mm, samples.light_mm, strict=True)
+    ]
+    document = {"absolute": samples.absolute, "photos": photos}
+    description.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _load_samples(workspace: Path) -> ReflectanceSamples:
+    array, description = (workspace / file for file in _SAMPLE_FILES)
+    try:
+        document = json.loads(description.read_text(encoding="utf-8"))
+        photos = document["photos"]
+        # Mapped, not read: the fit walks through it once, and it may be larger than memory.
+        brdf = np.load(array, mmap_mode="r", allow_pickle=False)
+        view = np.array([photo["view_mm"] for photo in photos], dtype=np.float64)
+        light = np.array([photo["light_mm"] for photo in photos], dtype=np.float64)
+        samples = ReflectanceSamples(
+            brdf, view, light, tuple(photo["file"] for photo in photos), bool(document["absolute"])
+        )
+    except (ValueError, KeyError, TypeError, EOFError) as error:
+        raise ImpastoError(
+            f"the samples cannot be read ({error})",
+            where=_SAMPLE_FILES[0],
+            fix="run the stage again: impasto run ... --from reflectance --force",
+        ) from error
+    expected = (len(photos), 3)
+    if brdf.dtype != np.float32 or brdf.ndim != 4 or view.shape != expected != light.shape:
+        raise ImpastoError(
+            f"{brdf.dtype} samples of shape {brdf.shape} for {len(photos)} photographs",
+            where=_SAMPLE_FILES[0],
+            expected="float32, (photos, rows, columns, 3)",
+        )
+    return samples
+
+
+SAMPLES = Artifact(_SAMPLE_FILES, _load_samples, _save_samples)
+
+
+def _save_maps(workspace: Path, maps: ReflectanceMaps) -> None:
+    diffuse, specular, lobe, quality, description = (workspace / file for file in _MAP_FILES)
+    write_exr(diffuse, dict(zip("RGB", np.moveaxis(maps.diffuse, 2, 0), strict=True)))
+    write_exr(specular, dict(zip("RGB", np.moveaxis(maps.specular, 2, 0), strict=True)))
+    write_exr(lobe, dict(zip(("CXY", "CZ", "K"), np.moveaxis(maps.lobe, 2, 0), strict=True)))
+    channels = {
+        "RESIDUAL": maps.residual,
+        "COUNT": maps.count.astype(np.uint32),
+        "OBSERVED": maps.lobe_observed.astype(np.uint32),
+    }
+    write_exr(quality, channels)
+    text = json.dumps({"absolute": maps.absolute, "unit": "1/sr"}, indent=1)
+    description.write_text(text + "\n", encoding="utf-8")
+
+
+def _load_maps(workspace: Path) -> ReflectanceMaps:
+    diffuse, specular, lobe, quality, description = (workspace / file for file in _MAP_FILES)
+    measured = read_exr(quality, ("RESIDUAL", "COUNT", "OBSERVED"))
+    return ReflectanceMaps(
+        diffuse=_stack(diffuse, ("R", "G", "B")),
+        specular=_stack(specular, ("R", "G", "B")),
+        lobe=_stack(lobe, ("CXY", "CZ", "K")),
+        residual=measured["RESIDUAL"],
+        count=measured["COUNT"].astype(np.int32),
+        lobe_observed=measured["OBSERVED"] != 0,
+        absolute=bool(json.loads(description.read_text(encoding="utf-8"))["absolute"]),
+    )
+
+
+def _stack(path: Path, names: tuple[str, ...]) -> NDArray[np.float32]:
+    channels = read_exr(path, names)
+    return np.stack([channels[name] for name in names], axis=2)
+
+
+MAPS = Artifact(_MAP_FILES, _load_maps, _save_maps)
