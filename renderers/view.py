@@ -182,12 +182,12 @@ def canvas_corners(canvas: Asset | tuple[float, float]) -> Array:
 
 def _up(back: Array, azimuth_deg: float) -> Array:
     """Return the picture's upward direction: the canvas's +y, made perpendicular to ``back``."""
-    up = np.array([0.0, 1.0, 0.0]) - back[1] * back
+    up: Array = np.array([0.0, 1.0, 0.0]) - back[1] * back
     length = float(np.linalg.norm(up))
     if length < 1e-9:  # along the canvas's y axis: the limit of elevations above it
         sign = -np.sign(np.sin(np.deg2rad(azimuth_deg)))
         return np.array([0.0, 0.0, float(sign)])
-    return up / length
+    return np.asarray(up / length)
 
 
 def _require(holds: bool, what: str, given: object, expected: str) -> None:

@@ -1,0 +1,98 @@
+"""The graphics adapter: found within a bounded time, opened once per process."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from pipeline.errors import HardwareError
+
+_ADVICE = "install a Vulkan driver (mesa-vulkan-drivers gives a software one) or use --backend cpu"
+_WANTED_LIMITS = ("max-texture-dimension-2d", "max-buffer-size", "max-storage-buffer-binding-size")
+
+
+class GpuUnavailable(HardwareError):  # noqa: N818 - an outcome that callers fall back from
+    """There is no usable graphics adapter, or it cannot hold the work; ``problem`` says why."""
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """An open device.
+
+    Parameters
+    ----------
+    device
+        The ``wgpu.GPUDevice``.
+    name
+        As the driver tells it.
+    software
+        True where the CPU plays the GPU (lavapipe, SwiftShader).
+    """
+
+    device: Any
+    name: str
+    software: bool
+
+    def __str__(self) -> str:
+        """Name the adapter for people, saying when it is not a real GPU."""
+        return f"{self.name}, software" if self.software else self.name
+
+    @property
+    def largest_texture(self) -> int:
+        """The largest side of a 2-D texture, texels."""
+        return int(self.device.limits["max-texture-dimension-2d"])
+
+
+def open_adapter(timeout_s: float = 30.0) -> Adapter:
+    """Open the best adapter; later calls return the same one.
+
+    Raises
+    ------
+    GpuUnavailable
+        wgpu is missing, there is no adapter, or the driver does not answer within ``timeout_s``.
+    """
+    return _opened(timeout_s)
+
+
+@lru_cache(maxsize=1)
+def _opened(timeout_s: float) -> Adapter:
+    return within(timeout_s, _open)
+
+
+def within(timeout_s: float, work: Callable[[], Adapter]) -> Adapter:
+    """Run ``work`` in a thread that is given up after ``timeout_s``: a driver may hang."""
+    outcome: list[Adapter | Exception] = []
+
+    def attempt() -> None:
+        try:
+            outcome.append(work())
+        except Exception as error:
+            outcome.append(error)
+
+    thread = threading.Thread(target=attempt, name="open-adapter", daemon=True)
+    thread.start()
+    thread.join(timeout_s)
+    if not outcome:
+        raise GpuUnavailable(f"the graphics driver did not answer in {timeout_s:g} s", fix=_ADVICE)
+    if isinstance(outcome[0], GpuUnavailable):
+        raise outcome[0]
+    if isinstance(outcome[0], Exception):
+        reason = " ".join(str(outcome[0]).split())
+        raise GpuUnavailable(f"no graphics adapter: {reason}", fix=_ADVICE) from outcome[0]
+    return outcome[0]
+
+
+def _open() -> Adapter:
+    import wgpu
+
+    # power_preference never selects a software adapter where a real one exists.
+    adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
+    if adapter is None:
+        raise GpuUnavailable("no graphics adapter was found", fix=_ADVICE)
+    limits = {name: adapter.limits[name] for name in _WANTED_LIMITS if name in adapter.limits}
+    device = adapter.request_device_sync(label="impasto", required_limits=limits)
+    info = adapter.info
+    return Adapter(device, str(info["device"]), str(info["adapter_type"]).upper() == "CPU")

@@ -1,0 +1,149 @@
+// The painting: a bump-mapped plane at d0, boxes with relief mapping, and the full mesh.
+//
+// Depth is reversed with the far plane at infinity: near / z, greater is nearer. Rays have z = 1 in
+// the camera's frame, so their parameter t is the depth z.
+
+struct Frame {
+    clip_from_canvas: mat4x4f,
+    ray_column: vec3f,  // ray = pixel.x * ray_column + pixel.y * ray_row + ray_first
+    plane: f32,         // d0, mm
+    ray_row: vec3f,
+    bottom: f32,        // lowest and highest height, mm
+    ray_first: vec3f,
+    top: f32,
+    camera: vec3f,      // canvas, mm
+    near: f32,
+    to_grid: vec3f,     // (texels per mm, texels per mm, 1)
+    shadow_margin: f32, // mm
+    last_sample: vec2f, // (columns - 1, rows - 1)
+    lamp_count: u32,
+    shadows: u32,
+}
+
+struct Box {
+    low: vec3f,   // canvas, mm
+    alpha: f32,
+    high: vec3f,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> lamps: array<Lamp>;
+@group(0) @binding(2) var<storage, read> boxes: array<Box>;
+@group(0) @binding(3) var heights: texture_2d<f32>;
+@group(0) @binding(4) var normals: texture_2d<f32>;
+@group(0) @binding(5) var diffuse: texture_2d<f32>;
+@group(0) @binding(6) var specular: texture_2d<f32>;
+@group(0) @binding(7) var lobe: texture_2d<f32>;
+
+struct Painted {
+    @location(0) colour: vec4f,
+    @builtin(frag_depth) depth: f32,
+}
+
+fn to_grid(place: vec3f) -> vec3f {
+    return vec3f(place.x, -place.y, place.z) * frame.to_grid;
+}
+
+// The ray through the centre of a pixel, canvas space.
+fn ray_through(position: vec4f) -> vec3f {
+    let pixel = position.xy - 0.5;
+    return pixel.x * frame.ray_column + pixel.y * frame.ray_row + frame.ray_first;
+}
+
+fn project(place: vec3f) -> vec4f {
+    return frame.clip_from_canvas * vec4f(place, 1.0);
+}
+
+// ---- the plane at d0
+
+@vertex
+fn plane_vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
+    let corner = vec2f(f32(index & 1u), f32(index >> 1u)) * frame.last_sample / frame.to_grid.xy;
+    return project(vec3f(corner.x, -corner.y, frame.plane));
+}
+
+@fragment
+fn plane_fragment(@builtin(position) position: vec4f) -> Painted {
+    let ray = ray_through(position);
+    let t = (frame.plane - frame.camera.z) / ray.z;
+    if (!(t > 0.0)) { discard; }
+    let grid = to_grid(frame.camera + t * ray).xy;
+    let height = height_at(grid);
+    if (height < HOLE_LIMIT) { discard; }
+    return Painted(vec4f(shade(grid, height), 1.0), frame.near / t);
+}
+
+// ---- boxes
+
+struct BoxVertex {
+    @builtin(position) position: vec4f,
+    @location(0) @interpolate(flat) index: u32,
+}
+
+// The far faces are drawn, so that a box holding the camera is seen too: one triangle strip of 14
+// vertices whose corners are read from three bit patterns.
+@vertex
+fn box_vertex(
+    @builtin(vertex_index) vertex: u32, @builtin(instance_index) index: u32
+) -> BoxVertex {
+    let corner = (vec3u(0x287au, 0x02afu, 0x31e3u) >> vec3u(vertex)) & vec3u(1u);
+    let place = mix(boxes[index].low, boxes[index].high, vec3f(corner));
+    return BoxVertex(project(place), index);
+}
+
+// Where the ray meets the relief inside the box.
+fn hit_in_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> f32 {
+    let span = clip_to_box(origin, direction, low, high);
+    let enter = max(span.x, 0.0);
+    if (span.y <= enter) { return MISS; }
+    let side = side_of(origin + enter * direction);
+    if (side == BELOW && enter > 0.0) {
+        // Entered under the surface through a side. Inside the canvas that is a step between
+        // boxes, closed with a wall; at the canvas's edge the field is open.
+        let back = 0.5 / max(length(direction.xy), 1.0e-20);
+        let before = origin + (enter - back) * direction;
+        if (on_grid(before.xy) && side_of(before) != OPEN) { return enter; }
+    }
+    return first_hit(origin, direction, enter, span.y, side);
+}
+
+@fragment
+fn box_fragment(vertex: BoxVertex) -> Painted {
+    let box = boxes[vertex.index];
+    let ray = ray_through(vertex.position);
+    let origin = to_grid(frame.camera);
+    let direction = vec3f(ray.x, -ray.y, ray.z) * frame.to_grid;
+    let a = to_grid(box.low);
+    let b = to_grid(box.high);
+    let t = hit_in_box(origin, direction, min(a, b), max(a, b));
+    if (t == MISS) { discard; }
+    let grid = (origin + t * direction).xy;
+    return Painted(vec4f(shade(grid, height_at(grid)), box.alpha), frame.near / t);
+}
+
+// ---- every sample as a vertex, two triangles per patch
+
+struct MeshVertex {
+    @builtin(position) position: vec4f,
+    @location(0) grid: vec2f,
+}
+
+@vertex
+fn mesh_vertex(@builtin(vertex_index) index: u32) -> MeshVertex {
+    let columns = u32(frame.last_sample.x);
+    let patch_index = index / 6u;
+    let base = vec2u(patch_index % columns, patch_index / columns);
+    // Corners 0 1 2 and 2 1 3 of the patch, as bits (column, row).
+    let corner = (0xda4u >> (2u * (index % 6u))) & 3u;
+    let at = base + vec2u(corner & 1u, corner >> 1u);
+    let grid = vec2f(at);
+    let whole = height_at(vec2f(base) + 0.5) > HOLE_LIMIT;
+    let place = vec3f(grid.x, -grid.y, textureLoad(heights, at, 0).r) / frame.to_grid;
+    // A patch with a hole at a corner collapses outside the picture.
+    return MeshVertex(select(vec4f(2.0, 2.0, 2.0, 1.0), project(place), whole), grid);
+}
+
+@fragment
+fn mesh_fragment(vertex: MeshVertex) -> @location(0) vec4f {
+    return vec4f(shade(vertex.grid, height_at(vertex.grid)), 1.0);
+}
