@@ -6,6 +6,7 @@
 
 const HOLE_LIMIT: f32 = -1.0e6;  // heights below it belong to a hole
 const TEXELS_PER_STEP: f32 = 0.5;
+const CEILING_TILE: f32 = 8.0;
 const MOST_STEPS: f32 = 8192.0;
 const HALVINGS: i32 = 12;
 const MISS: f32 = -1.0;
@@ -48,21 +49,41 @@ fn clip_to_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> vec2
     return vec2f(max(max(enter.x, enter.y), enter.z), min(min(leave.x, leave.y), leave.z));
 }
 
+// The least height above which a ray is free for CEILING_TILE texels around a place, or more.
+fn ceiling_at(grid: vec2f) -> f32 {
+    let tile = vec2i(clamp(grid, vec2f(0.0), frame.last_sample) / CEILING_TILE);
+    return textureLoad(ceilings, tile, 0).r;
+}
+
 // Linear search with steps of at most TEXELS_PER_STEP, stopped at the first sample on the other
 // side of the surface, then bisection. `from_side` is the side on which the ray starts. Both
-// faces of the surface are met; going into or out of a hole meets nothing.
+// faces of the surface are met; going into or out of a hole meets nothing. Runs of steps that
+// the ceiling shows to be free are leapt over, which changes no result.
 fn first_hit(origin: vec3f, direction: vec3f, t_start: f32, t_end: f32, from_side: i32) -> f32 {
     let texels = length(direction.xy) * (t_end - t_start);
-    let steps = clamp(ceil(texels / TEXELS_PER_STEP), 2.0, MOST_STEPS);
-    let stride = (t_end - t_start) / steps;
+    let steps = i32(clamp(ceil(texels / TEXELS_PER_STEP), 2.0, MOST_STEPS));
+    let stride = (t_end - t_start) / f32(steps);
+    let run = i32(clamp(CEILING_TILE * f32(steps) / max(texels, 1.0e-6), 1.0, f32(steps)));
     var before = from_side;
-    for (var i = 1.0; i <= steps; i += 1.0) {
-        let t = t_start + stride * i;
-        let side = side_of(origin + t * direction);
-        if (side * before < 0) {
-            return bisect(origin, direction, t - stride, t, side);
+    var i = 0;
+    while (i < steps) {
+        let last = min(i + run, steps);
+        let here = origin + (t_start + stride * f32(i)) * direction;
+        let there = origin + (t_start + stride * f32(last)) * direction;
+        if (before != BELOW && min(here.z, there.z) > ceiling_at(here.xy)) {
+            i = last;
+            before = side_of(there);
+            continue;
         }
-        before = side;
+        while (i < last) {
+            i++;
+            let t = t_start + stride * f32(i);
+            let side = side_of(origin + t * direction);
+            if (side * before < 0) {
+                return bisect(origin, direction, t - stride, t, side);
+            }
+            before = side;
+        }
     }
     return MISS;
 }

@@ -14,6 +14,8 @@ from renderers.view import Light, View, canvas_corners
 Array = NDArray[np.float64]
 
 NEAR_MM = 0.01
+CEILING_TILE = 8
+"""Side of a tile of :func:`ceilings`, texels; ``intersect.wgsl`` has the same."""
 
 FRAME = np.dtype(
     [
@@ -146,6 +148,23 @@ def box_tops(asset: Asset) -> Array:
         patch = np.s_[row : last_row + 1, column : last_column + 1]
         tops[i] = np.max(asset.heights_mm[patch], where=valid[patch], initial=-np.inf)
     return tops
+
+
+def ceilings(heights_mm: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return, per tile of 8 x 8 texels, the highest sample within a tile's side of it.
+
+    A ray above it may go that far from any place of the tile without meeting the surface.
+    """
+    rows, columns = (-(-side // CEILING_TILE) for side in heights_mm.shape)
+    padded = np.full((rows * CEILING_TILE, columns * CEILING_TILE), -np.inf, np.float32)
+    padded[: heights_mm.shape[0], : heights_mm.shape[1]] = heights_mm
+    tiles = padded.reshape(rows, CEILING_TILE, columns, CEILING_TILE).max(axis=(1, 3))
+    # The walk ends at most one tile away, whose last patches take samples of the tile after it.
+    for axis in (0, 1):
+        size = tiles.shape[axis]
+        ring = np.pad(tiles, [(1, 2) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
+        tiles = np.max([ring.take(range(k, k + size), axis) for k in range(4)], axis=0)
+    return np.asarray(tiles)
 
 
 def valid_samples(asset: Asset) -> NDArray[np.bool_]:

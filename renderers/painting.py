@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from renderers import packing
 from renderers.adapter import Adapter, GpuUnavailable
 from renderers.adaptive import Adaptive
 from renderers.pipelines import (
+    DEPTH_FORMAT,
+    VISIBLE_FORMAT,
     colour_format,
     painting_pipelines,
     read_colours,
@@ -36,6 +38,7 @@ Method = Literal["hybrid", "bump", "relief", "mesh"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 _HOLE = np.float32(-1e9)  # height of a sample outside the canvas; see intersect.wgsl
+_NOTHING = (-1e9, -1e9, 0, 0)  # place on the grid of a pixel that sees no canvas
 _BOX_VERTICES = 14
 
 
@@ -90,6 +93,7 @@ class Painting:
                 upload_texture(device, name, _four_halves(image), "rgba16float")
                 for name, image in reflectance.items()
             ),
+            upload_texture(device, "ceilings", packing.ceilings(heights)[..., None], "r32float"),
         ]
 
     def draw(
@@ -146,8 +150,6 @@ class Painting:
         method: Method,
         size_px: tuple[int, int],
     ) -> NDArray[np.floating]:
-        import wgpu
-
         device = self.adapter.device
         opaque = int(np.count_nonzero(boxes["alpha"] == 1.0))
         blends = opaque < len(boxes)
@@ -162,48 +164,62 @@ class Painting:
             layout=pipelines.layout,
             entries=[{"binding": i, "resource": r} for i, r in enumerate(resources)],
         )
-        target = device.create_texture(
-            size=(*size_px, 1),
-            format=colour_format(blends),
-            usage=wgpu.TextureUsage.RENDER_ATTACHMENT | wgpu.TextureUsage.COPY_SRC,
-        )
-        depth = device.create_texture(
-            size=(*size_px, 1), format="depth32float", usage=wgpu.TextureUsage.RENDER_ATTACHMENT
+        visible = self._target(VISIBLE_FORMAT, size_px)
+        target = self._target(colour_format(blends), size_px)
+        depth = self._target(DEPTH_FORMAT, size_px).create_view()
+        seen = device.create_bind_group(
+            layout=pipelines.visible_layout,
+            entries=[{"binding": 0, "resource": visible.create_view()}],
         )
         encoder = device.create_command_encoder()
-        render_pass = encoder.begin_render_pass(
-            color_attachments=[
-                {
-                    "view": target.create_view(),
-                    "clear_value": (0, 0, 0, 0),
-                    "load_op": "clear",
-                    "store_op": "store",
-                }
-            ],
-            depth_stencil_attachment={
-                "view": depth.create_view(),
-                "depth_clear_value": 0.0,
-                "depth_load_op": "clear",
-                "depth_store_op": "discard",
-            },
+
+        geometry = encoder.begin_render_pass(
+            color_attachments=[_attachment(visible, clear=_NOTHING)],
+            depth_stencil_attachment=_depth_attachment(depth, clear=True),
         )
-        render_pass.set_bind_group(0, group)
+        geometry.set_bind_group(0, group)
         if method in ("hybrid", "bump"):
-            render_pass.set_pipeline(pipelines.plane)
-            render_pass.draw(4)
+            geometry.set_pipeline(pipelines.plane)
+            geometry.draw(4)
         if opaque:
-            render_pass.set_pipeline(pipelines.box)
-            render_pass.draw(_BOX_VERTICES, opaque)
-        if blends:
-            render_pass.set_pipeline(pipelines.blended_box)
-            render_pass.draw(_BOX_VERTICES, len(boxes) - opaque, 0, opaque)
+            geometry.set_pipeline(pipelines.box)
+            geometry.draw(_BOX_VERTICES, opaque)
         if method == "mesh":
             rows, columns = self.asset.heights_mm.shape
-            render_pass.set_pipeline(pipelines.mesh)
-            render_pass.draw(6 * (rows - 1) * (columns - 1))
-        render_pass.end()
+            geometry.set_pipeline(pipelines.mesh)
+            geometry.draw(6 * (rows - 1) * (columns - 1))
+        geometry.end()
+
+        shading = encoder.begin_render_pass(
+            color_attachments=[_attachment(target, clear=(0, 0, 0, 0))]
+        )
+        shading.set_bind_group(0, group)
+        shading.set_bind_group(1, seen)
+        shading.set_pipeline(pipelines.shade)
+        shading.draw(3)
+        shading.end()
+
+        if blends:
+            blending = encoder.begin_render_pass(
+                color_attachments=[_attachment(target)],
+                depth_stencil_attachment=_depth_attachment(depth),
+            )
+            blending.set_bind_group(0, group)
+            blending.set_pipeline(pipelines.blended_box)
+            blending.draw(_BOX_VERTICES, len(boxes) - opaque, 0, opaque)
+            blending.end()
         device.queue.submit([encoder.finish()])
         return read_colours(device, target, size_px, blends=blends)
+
+    def _target(self, texture_format: str, size_px: tuple[int, int]) -> Any:
+        import wgpu
+
+        usage = wgpu.TextureUsage.RENDER_ATTACHMENT
+        if texture_format != DEPTH_FORMAT:
+            usage |= wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_SRC
+        return self.adapter.device.create_texture(
+            size=(*size_px, 1), format=texture_format, usage=usage
+        )
 
     def _check_size(self, what: str, size: tuple[int, ...]) -> None:
         largest = self.adapter.largest_texture
@@ -213,6 +229,20 @@ class Painting:
                 expected=f"at most {largest} a side on {self.adapter}",
                 fix="use --backend cpu",
             )
+
+
+def _attachment(texture: Any, clear: tuple[float, ...] | None = None) -> dict[str, Any]:
+    attachment = {"view": texture.create_view(), "load_op": "load", "store_op": "store"}
+    return attachment if clear is None else attachment | {"load_op": "clear", "clear_value": clear}
+
+
+def _depth_attachment(view: Any, *, clear: bool = False) -> dict[str, Any]:
+    return {
+        "view": view,
+        "depth_load_op": "clear" if clear else "load",
+        "depth_clear_value": 0.0,
+        "depth_store_op": "store",
+    }
 
 
 def _four_halves(image: NDArray[np.float32]) -> NDArray[np.float16]:

@@ -1,5 +1,8 @@
 // The painting: a bump-mapped plane at d0, boxes with relief mapping, and the full mesh.
 //
+// First the visible surface is found: each way of drawing writes the place on the grid that a
+// pixel sees. Then each pixel is shaded once. Last come the boxes that blend over what is there.
+//
 // Depth is reversed with the far plane at infinity: near / z, greater is nearer. Rays have z = 1 in
 // the camera's frame, so their parameter t is the depth z.
 
@@ -34,6 +37,15 @@ struct Box {
 @group(0) @binding(5) var diffuse: texture_2d<f32>;
 @group(0) @binding(6) var specular: texture_2d<f32>;
 @group(0) @binding(7) var lobe: texture_2d<f32>;
+@group(0) @binding(8) var ceilings: texture_2d<f32>;
+@group(1) @binding(0) var visible: texture_2d<f32>;
+
+const NOTHING: f32 = -1.0e6;  // places on the grid left of it: the pixel sees no canvas
+
+struct Seen {
+    @location(0) grid: vec2f,
+    @builtin(frag_depth) depth: f32,
+}
 
 struct Painted {
     @location(0) colour: vec4f,
@@ -63,14 +75,13 @@ fn plane_vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
 }
 
 @fragment
-fn plane_fragment(@builtin(position) position: vec4f) -> Painted {
+fn plane_fragment(@builtin(position) position: vec4f) -> Seen {
     let ray = ray_through(position);
     let t = (frame.plane - frame.camera.z) / ray.z;
     if (!(t > 0.0)) { discard; }
     let grid = to_grid(frame.camera + t * ray).xy;
-    let height = height_at(grid);
-    if (height < HOLE_LIMIT) { discard; }
-    return Painted(vec4f(shade(grid, height), 1.0), frame.near / t);
+    if (height_at(grid) < HOLE_LIMIT) { discard; }
+    return Seen(grid, frame.near / t);
 }
 
 // ---- boxes
@@ -107,8 +118,8 @@ fn hit_in_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> f32 {
     return first_hit(origin, direction, enter, span.y, side);
 }
 
-@fragment
-fn box_fragment(vertex: BoxVertex) -> Painted {
+// What a pixel sees of a box: the place on the grid and t; t = MISS where it sees none.
+fn see_box(vertex: BoxVertex) -> vec3f {
     let box = boxes[vertex.index];
     let ray = ray_through(vertex.position);
     let origin = to_grid(frame.camera);
@@ -116,9 +127,22 @@ fn box_fragment(vertex: BoxVertex) -> Painted {
     let a = to_grid(box.low);
     let b = to_grid(box.high);
     let t = hit_in_box(origin, direction, min(a, b), max(a, b));
-    if (t == MISS) { discard; }
-    let grid = (origin + t * direction).xy;
-    return Painted(vec4f(shade(grid, height_at(grid)), box.alpha), frame.near / t);
+    return vec3f((origin + t * direction).xy, t);
+}
+
+@fragment
+fn box_fragment(vertex: BoxVertex) -> Seen {
+    let seen = see_box(vertex);
+    if (seen.z == MISS) { discard; }
+    return Seen(seen.xy, frame.near / seen.z);
+}
+
+@fragment
+fn blended_box_fragment(vertex: BoxVertex) -> Painted {
+    let seen = see_box(vertex);
+    if (seen.z == MISS) { discard; }
+    let colour = vec4f(shade(seen.xy, height_at(seen.xy)), boxes[vertex.index].alpha);
+    return Painted(colour, frame.near / seen.z);
 }
 
 // ---- every sample as a vertex, two triangles per patch
@@ -144,6 +168,21 @@ fn mesh_vertex(@builtin(vertex_index) index: u32) -> MeshVertex {
 }
 
 @fragment
-fn mesh_fragment(vertex: MeshVertex) -> @location(0) vec4f {
-    return vec4f(shade(vertex.grid, height_at(vertex.grid)), 1.0);
+fn mesh_fragment(vertex: MeshVertex) -> @location(0) vec2f {
+    return vertex.grid;
+}
+
+// ---- the light of what is visible, once per pixel
+
+@vertex
+fn shade_vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
+    let corner = vec2f(f32(index & 1u), f32(index >> 1u)) * 4.0 - 1.0;
+    return vec4f(corner, 0.0, 1.0);
+}
+
+@fragment
+fn shade_fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let grid = textureLoad(visible, vec2i(position.xy), 0).xy;
+    if (grid.x < NOTHING) { discard; }
+    return vec4f(shade(grid, height_at(grid)), 1.0);
 }

@@ -19,15 +19,25 @@ _OVER = {
 }
 
 
+VISIBLE_FORMAT = "rg32float"
+DEPTH_FORMAT = "depth32float"
+
+
 @dataclass(frozen=True)
 class Pipelines:
-    """One render pipeline per way of drawing, all with the same bindings."""
+    """One render pipeline per way of drawing, all with the same bindings.
+
+    ``plane``, ``box`` and ``mesh`` write the place on the grid that a pixel sees, ``shade`` turns
+    it into light, ``blended_box`` draws over that.
+    """
 
     layout: Any
+    visible_layout: Any
     plane: Any
     box: Any
-    blended_box: Any
     mesh: Any
+    shade: Any
+    blended_box: Any
 
 
 def shader_source() -> str:
@@ -56,36 +66,45 @@ def painting_pipelines(adapter: Adapter, blends: bool) -> Pipelines:
     module = device.create_shader_module(label="painting", code=shader_source())
     stages = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
     buffers = ("uniform", "read-only-storage", "read-only-storage")
-    texture = {"sample_type": "unfilterable-float", "view_dimension": "2d"}
-    resources = [*({"buffer": {"type": kind}} for kind in buffers), *[{"texture": texture}] * 5]
+    texture = {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d"}}
+    resources = [*({"buffer": {"type": kind}} for kind in buffers), *[texture] * 6]
     layout = device.create_bind_group_layout(
         entries=[{"binding": i, "visibility": stages, **r} for i, r in enumerate(resources)]
     )
-    pipeline_layout = device.create_pipeline_layout(bind_group_layouts=[layout])
+    visible_layout = device.create_bind_group_layout(
+        entries=[{"binding": 0, "visibility": wgpu.ShaderStage.FRAGMENT, **texture}]
+    )
+    depth = {"format": DEPTH_FORMAT, "depth_write_enabled": True, "depth_compare": "greater"}
+    strip = {"topology": "triangle-strip"}
+    triangles = {"topology": "triangle-list"}
+    far_faces = strip | {"front_face": "ccw", "cull_mode": "front"}
 
-    def pipeline(name: str, primitive: dict[str, str], *, over: bool = False) -> Any:
-        target = {"format": colour_format(blends)} | ({"blend": _OVER} if over else {})
+    def pipeline(name: str, primitive: dict[str, str], target: dict[str, Any], **more: Any) -> Any:
+        """Build the pipeline of ``<name>_fragment`` and, unless told, ``<name>_vertex``."""
+        groups = [layout, visible_layout] if name == "shade" else [layout]
+        vertex = more.pop("vertex", f"{name}_vertex")
         return device.create_render_pipeline(
             label=name,
-            layout=pipeline_layout,
-            vertex={"module": module, "entry_point": f"{name}_vertex"},
+            layout=device.create_pipeline_layout(bind_group_layouts=groups),
+            vertex={"module": module, "entry_point": vertex},
             primitive=primitive,
-            depth_stencil={
-                "format": "depth32float",
-                "depth_write_enabled": True,
-                "depth_compare": "greater",
-            },
             fragment={"module": module, "entry_point": f"{name}_fragment", "targets": [target]},
+            **more,
         )
 
-    strip = {"topology": "triangle-strip"}
-    far_faces = strip | {"front_face": "ccw", "cull_mode": "front"}
+    visible = {"format": VISIBLE_FORMAT}
+    colour = {"format": colour_format(blends)}
+    over = colour | ({"blend": _OVER} if blends else {})
     return Pipelines(
         layout=layout,
-        plane=pipeline("plane", strip),
-        box=pipeline("box", far_faces),
-        blended_box=pipeline("box", far_faces, over=blends),
-        mesh=pipeline("mesh", {"topology": "triangle-list"}),
+        visible_layout=visible_layout,
+        plane=pipeline("plane", strip, visible, depth_stencil=depth),
+        box=pipeline("box", far_faces, visible, depth_stencil=depth),
+        mesh=pipeline("mesh", triangles, visible, depth_stencil=depth),
+        shade=pipeline("shade", triangles, colour),
+        blended_box=pipeline(
+            "blended_box", far_faces, over, depth_stencil=depth, vertex="box_vertex"
+        ),
     )
 
 

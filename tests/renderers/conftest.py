@@ -47,7 +47,7 @@ def height_normals(heights: NDArray[np.float64], spacing: float) -> NDArray[np.f
     return n[..., :2].astype(np.float32)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_asset() -> Callable[..., Asset]:
     """Give a factory: heights in mm -> asset, half white, half ochre, a little glossy."""
 

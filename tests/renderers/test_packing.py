@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import ndimage
+
+import renderers
+from renderers import packing
+from renderers.packing import CEILING_TILE
+from renderers.view import Light, arc_light, orbit_view
+
+WGSL = Path(renderers.__file__).parent
+
+
+@given(
+    arrays(
+        np.float32,
+        st.tuples(st.integers(1, 40), st.integers(1, 40)),
+        elements=st.floats(-100, 100, width=32),
+    )
+)
+def test_ceiling_covers_every_sample_that_a_walk_of_one_tile_can_need(heights):
+    ceilings = packing.ceilings(heights)
+    assert ceilings.shape == tuple(-(-side // CEILING_TILE) for side in heights.shape)
+    assert ceilings.max() <= heights.max()
+    # From any texel of a tile one tile each way, and the patch's far corner.
+    reach = 2 * CEILING_TILE + 2
+    needed = ndimage.maximum_filter(heights, reach, origin=-1, mode="nearest")
+    rows, columns = np.indices(heights.shape) // CEILING_TILE
+    assert (ceilings[rows, columns] >= needed).all()
+
+
+def test_ceiling_looks_no_farther_than_it_must():
+    heights = np.zeros((64, 64), np.float32)
+    heights[32, 32] = 1.0  # first sample of tile 4
+    rows, columns = np.nonzero(packing.ceilings(heights))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (2, 5, 2, 5)
+
+
+@pytest.mark.parametrize(("record", "name"), [("FRAME", "Frame"), ("LAMP", "Lamp"), ("BOX", "Box")])
+def test_records_have_the_fields_of_the_wgsl_in_order(record, name):
+    source = "".join((WGSL / f).read_text() for f in ("painting.wgsl", "shading.wgsl"))
+    body = re.search(rf"struct {name} \{{(.*?)\n\}}", source, re.DOTALL)[1]
+    fields = re.findall(r"^\s*(\w+):", body, re.MULTILINE)
+    dtype = getattr(packing, record)
+    assert [n for n in dtype.names if not n.startswith("padding")] == fields
+    assert dtype.itemsize % 16 == 0
+    for field in fields:
+        kind, offset = dtype.fields[field][0], dtype.fields[field][1]
+        if kind.shape:  # vec3f and mat4x4f stand at multiples of 16, vec2f of 8
+            assert offset % (8 if kind.shape == (2,) else 16) == 0
+
+
+def test_tile_size_is_the_shaders():
+    source = (WGSL / "intersect.wgsl").read_text()
+    assert float(re.search(r"CEILING_TILE: f32 = ([\d.]+)", source)[1]) == CEILING_TILE
+
+
+def test_projection_puts_points_where_the_camera_does(make_asset):
+    asset = make_asset(np.zeros((21, 31)))
+    view = orbit_view(asset, azimuth_deg=20, elevation_deg=30, size_px=(90, 70))
+    frame = packing.pack_frame(asset, view, (0.25, -0.125), 0, shadows=False)
+    points = np.random.default_rng(0).uniform([0, -10, -1], [15, 0, 1], (50, 3))
+    clip = np.c_[points, np.ones(50)] @ frame["clip_from_canvas"].astype(float)
+    ndc = clip[:, :3] / clip[:, 3:]
+    pixel = np.stack([(ndc[:, 0] + 1) * 45, (1 - ndc[:, 1]) * 35], axis=-1) - 0.5
+    expected = view.camera.project(points) - [0.25, -0.125]
+    np.testing.assert_allclose(pixel, expected, atol=1e-3)
+    np.testing.assert_allclose(clip[:, 3], view.camera.depth(points), rtol=1e-5)
+    np.testing.assert_allclose(ndc[:, 2], packing.NEAR_MM / clip[:, 3], rtol=1e-6)
+    ray = pixel[:, :1] * frame["ray_column"] + pixel[:, 1:] * frame["ray_row"] + frame["ray_first"]
+    back = frame["camera"] + clip[:, 3:] * ray
+    np.testing.assert_allclose(back, points, atol=2e-3)
+
+
+def test_lamps_scale_by_a_power_of_two_to_at_most_one(make_asset):
+    asset = make_asset(np.zeros((21, 31)))
+    lights = [arc_light(asset, intensity=5e7), Light(np.array([0.0, 0.0, 2.0]), 3e-9)]
+    lamps, scale = packing.pack_lamps(asset, lights)
+    assert np.log2(scale) == np.rint(np.log2(scale))
+    assert lamps["radiant_intensity"].max() * scale == pytest.approx(5e13)
+    assert packing.pack_lamps(asset, [])[1] == 1.0
+    assert packing.pack_lamps(asset, [arc_light(asset, intensity=0)])[1] == 1.0
+
+
+def test_one_box_around_the_whole_field(make_asset):
+    heights = np.zeros((21, 31))
+    heights[3, 4] = 2.5
+    heights[5, 6] = -1.5
+    (box,) = packing.pack_whole_box(make_asset(heights, spacing=2.0))
+    np.testing.assert_allclose(box["low"], [0, -40, -1.502], atol=1e-5)
+    np.testing.assert_allclose(box["high"], [60, 0, 2.502], atol=1e-5)
+
+
+def test_boxes_whose_surface_lies_below_d0_are_left_out(make_asset):
+    heights = np.zeros((33, 33))
+    heights[4, 4] = 1.0
+    asset = make_asset(heights, d0=0.5, cell=16)
+    view = orbit_view(asset)
+    assert len(packing.pack_boxes(asset, np.array([1.0]), view, None)) == 1
+    assert len(packing.pack_boxes(asset, np.array([0.5]), view, None)) == 0
+    assert len(packing.pack_boxes(asset, np.array([-np.inf]), view, None)) == 0
