@@ -5,6 +5,8 @@ Unknown keys are kept. Contradictions between entries are found in :mod:`.valida
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -13,7 +15,10 @@ from pipeline.formats.patterns import Pattern
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
-Size = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+Pixels = Annotated[int, Field(ge=1, le=1 << 16)]
+Corners = Annotated[int, Field(ge=2, le=1000)]
+Size = tuple[Pixels, Pixels]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class _Entry(BaseModel):
@@ -50,7 +55,7 @@ class Chessboard(_Entry):
     """A plain chessboard; ``inner_corners`` is columns, rows."""
 
     type: Literal["chessboard"]
-    inner_corners: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]]
+    inner_corners: tuple[Corners, Corners]
     square_mm: float = Field(gt=0)
     scale_known: bool = True
 
@@ -59,7 +64,7 @@ class Charuco(_Entry):
     """A ChArUco board; ``squares`` is columns, rows."""
 
     type: Literal["charuco"]
-    squares: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]]
+    squares: tuple[Corners, Corners]
     square_mm: float = Field(gt=0)
     marker_mm: float = Field(gt=0)
     dictionary: str
@@ -80,7 +85,7 @@ class Frame(_Entry):
 class Sequence(_Entry):
     """Frames taken one after another with nothing moving."""
 
-    name: str
+    name: Name
     purpose: Literal["calibrate", "scan", "pose", "light"]
     camera: str
     board: str | None = None
@@ -137,15 +142,53 @@ class Capture(_Entry):
 
     format: Literal["impasto-capture"]
     version: Literal[1]
-    name: str
+    name: Name
     encoding: Literal["linear", "srgb"]
-    cameras: dict[str, CameraEntry]
+    cameras: dict[Name, CameraEntry]
     projector: ProjectorEntry | None = None
-    boards: dict[str, Board] = {}
+    boards: dict[Name, Board] = {}
     sequences: tuple[Sequence, ...] = ()
     photos: tuple[Photo, ...] = ()
-    lights: dict[str, LightEntry] = {}
+    lights: dict[Name, LightEntry] = {}
     turntable: TurntableEntry | None = None
     darks: tuple[Correction, ...] = ()
     flats: tuple[Correction, ...] = ()
     colour_target: ColourTarget | None = None
+
+
+@dataclass(frozen=True)
+class ImageUse:
+    """One place of the document that names an image file.
+
+    Parameters
+    ----------
+    key
+        Where: ``sequences[0].frames[3].file``.
+    file
+        The name as given.
+    camera
+        The camera that took it.
+    purpose
+        Purpose of its sequence, or ``photos`` for photographs, darks, flats and colour target.
+    sequence
+        Index of its sequence, or None.
+    """
+
+    key: str
+    file: str
+    camera: str
+    purpose: Literal["calibrate", "scan", "pose", "light", "photos"]
+    sequence: int | None = None
+
+
+def image_uses(capture: Capture) -> Iterator[ImageUse]:
+    """Go through all places that name an image file, in the document's order."""
+    for i, sequence in enumerate(capture.sequences):
+        for j, frame in enumerate(sequence.frames):
+            key = f"sequences[{i}].frames[{j}].file"
+            yield ImageUse(key, frame.file, sequence.camera, sequence.purpose, i)
+    for group in ("photos", "darks", "flats"):
+        for i, entry in enumerate(getattr(capture, group)):
+            yield ImageUse(f"{group}[{i}].file", entry.file, entry.camera, "photos")
+    if (target := capture.colour_target) is not None:
+        yield ImageUse("colour_target.file", target.file, target.camera, "photos")
