@@ -80,7 +80,7 @@ class Bundle:
             try:
                 self._headers[file] = read_image_header(locate(self.folder, file))
             except ImpastoError as error:
-                raise self._explain(file, error) from error
+                raise image_error(self.where(file), file, error) from error
         return self._headers[file]
 
     def read(self, file: str) -> NDArray[np.float32]:
@@ -124,14 +124,11 @@ class Bundle:
                 raise ImpastoError("has changed since the bundle was opened", fix="start again")
             return read_image(path, size_px=header.size_px)
         except ImpastoError as error:
-            raise self._explain(file, error) from error
+            raise image_error(self.where(file), file, error) from error
 
     def full_scale(self, file: str) -> float:
         """Return the stored value that means 1.0: 255, 65535 or 1.0."""
         return self.header(file).full_scale
-
-    def _explain(self, file: str, error: ImpastoError) -> ImpastoError:
-        return image_error(self.where(file), file, error)
 
 
 def open_bundle(folder: Path) -> Bundle:
@@ -153,7 +150,9 @@ def open_bundle(folder: Path) -> Bundle:
         path = locate(folder, DOCUMENT)
     except ImpastoError as error:
         raise ImpastoError(
-            error.problem, where=str(folder), expected="a capture bundle", fix=error.fix
+            error.problem,
+            where=str(folder / DOCUMENT),
+            expected=f"a capture bundle, a folder with {DOCUMENT}",
         ) from None
     capture = parse_model(Capture, read_text(path, where=DOCUMENT), where=DOCUMENT)
     check_capture(capture)

@@ -15,7 +15,7 @@ from pipeline.formats.capture import Capture
 from pipeline.formats.images import write_png
 from pipeline.formats.inside import relative_name
 from pipeline.formats.strict_json import parse_model
-from pipeline.formats.validate import DOCUMENT, check_capture, check_images
+from pipeline.formats.validate import DOCUMENT, check_capture, check_images, image_error
 
 
 class BundleWriter:
@@ -68,7 +68,10 @@ class BundleWriter:
         """
         if self._closed:
             raise ValueError("the bundle is closed")
-        name = relative_name(file)
+        try:
+            name = relative_name(file)
+        except ImpastoError as error:
+            raise image_error(str(self.folder), file, error) from None
         if name.suffix != ".png":
             raise ValueError(f"{file!r} does not end in .png")
         path = self.folder
@@ -100,7 +103,7 @@ class BundleWriter:
         if self._closed:
             raise ValueError("the bundle is closed")
         if isinstance(capture, Capture):
-            document = capture.model_dump(mode="json", exclude_none=True, exclude_defaults=False)
+            document = capture.model_dump(mode="json", exclude_none=True)
         else:
             document = capture
         text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"

@@ -16,7 +16,8 @@ from pipeline.formats.patterns import Pattern
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 Pixels = Annotated[int, Field(ge=1, le=1 << 16)]
-Corners = Annotated[int, Field(ge=2, le=1000)]
+Corners = Annotated[int, Field(ge=3, le=1000)]
+Squares = Annotated[int, Field(ge=2, le=1000)]
 Size = tuple[Pixels, Pixels]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -64,7 +65,7 @@ class Charuco(_Entry):
     """A ChArUco board; ``squares`` is columns, rows."""
 
     type: Literal["charuco"]
-    squares: tuple[Corners, Corners]
+    squares: tuple[Squares, Squares]
     square_mm: float = Field(gt=0)
     marker_mm: float = Field(gt=0)
     dictionary: str

@@ -21,6 +21,8 @@ _MAX_CHANNELS = 64
 _TILED, _DEEP, _MULTIPART = 0x200, 0x800, 0x1000
 _PIXEL_TYPES = {0: "uint32", 1: "float16", 2: "float32"}
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
+# How far none, RLE and the two ZIPs (deflate) can compress; less data than that is not the image.
+_MOST_COMPRESSION = {0: 1, 1: 64, 2: 1032, 3: 1032}
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,12 @@ class ExrHeader:
     channels: dict[str, str]
     attributes: dict[str, str]
 
+    @property
+    def pixel_bytes(self) -> int:
+        """What all channels need uncompressed."""
+        sample_bytes = sum(2 if kind == "float16" else 4 for kind in self.channels.values())
+        return self.size_px[0] * self.size_px[1] * sample_bytes
+
 
 def read_exr_header(path: Path) -> ExrHeader:
     """Read and check the header, and that every chunk it promises lies inside the file.
@@ -63,9 +71,12 @@ def read_exr_header(path: Path) -> ExrHeader:
             file.seek(0)
             head = file.read(_MAX_HEADER_BYTES)
             values, end = _attributes(head)
-            header, lines_per_chunk = _interpret(values)
-            chunks = math.ceil(header.size_px[1] / lines_per_chunk)
-            _check_chunks(file, end, chunks, size_bytes)
+            header, compression = _interpret(values)
+            chunks = math.ceil(header.size_px[1] / _LINES_PER_CHUNK[compression])
+            stored = _check_chunks(file, end, chunks, size_bytes)
+            ratio = _MOST_COMPRESSION.get(compression)
+            if ratio is not None and stored * ratio < header.pixel_bytes:
+                raise _truncated()
     except ImpastoError as error:
         raise ImpastoError(
             error.problem, where=str(path), expected=error.expected, fix=error.fix
@@ -115,7 +126,7 @@ def _string(head: bytes, at: int) -> tuple[str, int]:
 
 
 def _interpret(values: dict[str, tuple[str, bytes]]) -> tuple[ExrHeader, int]:
-    """Check the required attributes; return the header and the lines of a chunk."""
+    """Check the required attributes; return the header and the compression's number."""
     window = _box(values, "dataWindow")
     display = _box(values, "displayWindow")
     width, height = window[2] - window[0] + 1, window[3] - window[1] + 1
@@ -133,7 +144,7 @@ def _interpret(values: dict[str, tuple[str, bytes]]) -> tuple[ExrHeader, int]:
         _channels(values.get("channels", ("", b""))[1]),
         {n: v.decode("utf-8", "replace") for n, (kind, v) in values.items() if kind == "string"},
     )
-    return header, _LINES_PER_CHUNK[compression[0]]
+    return header, compression[0]
 
 
 def _box(values: dict[str, tuple[str, bytes]], name: str) -> tuple[int, int, int, int]:
@@ -164,8 +175,9 @@ def _channels(value: bytes) -> dict[str, str]:
     return channels
 
 
-def _check_chunks(file: BinaryIO, table: int, chunks: int, size_bytes: int) -> None:
-    """Check that the table and all chunks are whole; ``table`` is the table's position."""
+def _check_chunks(file: BinaryIO, table: int, chunks: int, size_bytes: int) -> int:
+    """Check that the table, at ``table``, and all chunks are whole; return the chunks' bytes."""
+    stored = 0
     first = table + 8 * chunks
     if first > size_bytes:
         raise _truncated()
@@ -177,6 +189,8 @@ def _check_chunks(file: BinaryIO, table: int, chunks: int, size_bytes: int) -> N
         (length,) = struct.unpack("<i", file.read(4))
         if length < 0 or offset + 8 + length > size_bytes:
             raise _truncated()
+        stored += length
+    return stored
 
 
 def _truncated() -> ImpastoError:

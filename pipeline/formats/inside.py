@@ -1,4 +1,7 @@
-"""File names that stay inside their folder: relative, no ``..``, no link, a regular file."""
+"""File names that stay inside their folder: relative, no ``..``, no link, a regular file.
+
+The errors' ``problem`` reads on after the file's name; who calls says the name and where it stood.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +25,17 @@ def relative_name(file: str) -> PurePosixPath:
         If the name is empty, absolute, or could lead out of the folder on any system.
     """
     problem = None
+    parts = PurePosixPath(file).parts
     if not file.strip():
-        problem = "the file name is empty"
+        problem = "is an empty file name"
     elif len(file) > _MAX_LENGTH or _CONTROL.search(file):
-        problem = f"{file[:80]!r} is too long or holds control characters"
+        problem = "is a file name too long or with control characters"
     elif file.startswith("/") or _DRIVE.match(file):
-        problem = f"{file!r} is an absolute path"
+        problem = "is an absolute path"
     elif "\\" in file:
-        problem = f"{file!r} holds a backslash"
-    elif ".." in PurePosixPath(file).parts:
-        problem = f"{file!r} leads out of the bundle"
-    elif not PurePosixPath(file).parts:
-        problem = f"{file!r} names the bundle itself"
+        problem = "holds a backslash"
+    elif ".." in parts or not parts:
+        problem = "leads out of the bundle"
     if problem:
         raise ImpastoError(
             problem,
@@ -60,16 +62,16 @@ def locate(folder: Path, file: str) -> Path:
             status = path.lstat()
             if stat.S_ISLNK(status.st_mode):
                 raise ImpastoError(
-                    f"{file!r} is reached through the link {part!r}",
+                    f"is reached through the link {part!r}",
                     expected="the file itself",
                     fix="copy the file into the bundle",
                 )
     except (FileNotFoundError, NotADirectoryError):
         raise ImpastoError(
-            f"{file!r} is missing", fix="copy it into the bundle, or remove the entry"
+            "is missing", fix="copy it into the bundle, or remove the entry"
         ) from None
     except OSError as error:
-        raise ImpastoError(f"{file!r} cannot be reached ({error.strerror or error})") from error
+        raise ImpastoError(f"cannot be reached ({error.strerror or error})") from error
     if status is None or not stat.S_ISREG(status.st_mode):
-        raise ImpastoError(f"{file!r} is not a regular file", expected="an image file")
+        raise ImpastoError("is not a regular file", expected="an image file")
     return path

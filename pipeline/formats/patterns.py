@@ -80,7 +80,7 @@ def intensity(
     """Return the pattern's ideal intensity, 0 to 1, at projector coordinates.
 
     Gray patterns are sharp: the pixel that a coordinate falls in decides. Outside the projector's
-    image the formulas go on, a Gray code as that of the nearest cell.
+    image the formulas go on; left of and above it a Gray code stays at its first cell.
 
     Parameters
     ----------
@@ -112,8 +112,8 @@ def intensity(
 
 def _gray_intensity(pattern: Gray, along: NDArray[np.floating]) -> NDArray[np.float64]:
     unknown = np.isnan(along)
-    cell = np.floor((np.floor(np.where(unknown, 0.0, along) + 0.5)) / pattern.cell_px)
-    number = np.clip(cell, 0, 2.0**pattern.bits - 1).astype(np.int64)
+    pixel = np.floor(np.where(unknown, 0.0, along) + 0.5)
+    number = np.clip(pixel // pattern.cell_px, 0, 2.0**52).astype(np.int64)
     code = number ^ (number >> 1)
     lit = ((code >> (pattern.bits - 1 - pattern.bit)) & 1) != int(pattern.inverted)
     return np.where(unknown, np.nan, lit.astype(np.float64))

@@ -94,7 +94,7 @@ def check_images(folder: Path, capture: Capture) -> dict[str, ImageHeader]:
         where = f"{DOCUMENT}: {use.key}"
         if use.file not in headers:
             try:
-                headers[use.file] = read_image_header(_locate(folder, use.file, where))
+                headers[use.file] = read_image_header(locate(folder, use.file))
             except ImpastoError as error:
                 raise image_error(where, use.file, error) from error
         header, size_px = headers[use.file], capture.cameras[use.camera].size_px
@@ -118,21 +118,10 @@ def check_images(folder: Path, capture: Capture) -> dict[str, ImageHeader]:
 
 
 def image_error(where: str, file: str, error: ImpastoError) -> ImpastoError:
-    """Say an image's error with the place of the document that names it."""
-    if error.where is None or error.where.startswith(DOCUMENT):
-        return ImpastoError(error.problem, where=where, expected=error.expected, fix=error.fix)
+    """Say what is wrong with an image together with the place that names it."""
     return ImpastoError(
         f"{file!r} {error.problem}", where=where, expected=error.expected, fix=error.fix
     )
-
-
-def _locate(folder: Path, file: str, where: str) -> Path:
-    try:
-        return locate(folder, file)
-    except ImpastoError as error:
-        raise ImpastoError(
-            error.problem, where=where, expected=error.expected, fix=error.fix
-        ) from error
 
 
 def _check_names(capture: Capture) -> None:
@@ -285,7 +274,7 @@ def _check_files_agree(capture: Capture) -> None:
         try:
             relative_name(use.file)
         except ImpastoError as error:
-            _fail(use.key, error.problem, error.expected, error.fix)
+            raise image_error(f"{DOCUMENT}: {use.key}", use.file, error) from None
     for i, sequence in enumerate(capture.sequences):
         seen: dict[PurePosixPath, int] = {}
         for j, frame in enumerate(sequence.frames):
@@ -299,9 +288,7 @@ def _check_files_agree(capture: Capture) -> None:
                 )
 
 
-def _known(
-    key: str, name: str | None, noun: str, names: Container[str] | Mapping[str, object]
-) -> None:
+def _known(key: str, name: str | None, noun: str, names: Collection[str]) -> None:
     if name is not None and name not in names:
         listed = ", ".join(sorted(names)[:10])
         _fail(key, f"{name!r} is an unknown {noun}", f"one of: {listed or '(none is given)'}")
