@@ -85,7 +85,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = _take_debug(arguments)
     try:
-        status = impasto.main(arguments, prog_name="impasto", standalone_mode=False)
+        # Not impasto.main(): it has its own ideas of what an interruption looks like.
+        with impasto.make_context("impasto", arguments) as context:
+            impasto.invoke(context)
         sys.stdout.flush()
     except BaseException as error:
         if debug and not isinstance(error, (click.exceptions.Exit, SystemExit)):
@@ -93,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
             traceback.print_exc()
         sys.exit(report(error))
-    sys.exit(status if isinstance(status, int) else 0)
+    sys.exit(0)
 
 
 def report(error: BaseException) -> int:
