@@ -47,19 +47,26 @@ class Adapter:
 
 
 def open_adapter(timeout_s: float = 30.0) -> Adapter:
-    """Open the best adapter; later calls return the same one.
+    """Open the best adapter; later calls return the same one, or fail the same way.
 
     Raises
     ------
     GpuUnavailable
         wgpu is missing, there is no adapter, or the driver does not answer within ``timeout_s``.
     """
-    return _opened(timeout_s)
+    outcome = _asked_once(timeout_s)
+    if isinstance(outcome, GpuUnavailable):
+        raise outcome
+    return outcome
 
 
 @lru_cache(maxsize=1)
-def _opened(timeout_s: float) -> Adapter:
-    return within(timeout_s, _open)
+def _asked_once(timeout_s: float) -> Adapter | GpuUnavailable:
+    """Keep a failure too, so that a driver that hangs is waited for once, not per picture."""
+    try:
+        return within(timeout_s, _open)
+    except GpuUnavailable as error:
+        return error
 
 
 def within(timeout_s: float, work: Callable[[], Adapter]) -> Adapter:

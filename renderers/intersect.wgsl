@@ -27,10 +27,6 @@ fn height_at(grid: vec2f) -> f32 {
     return mix(mix(h00, h10, f.x), mix(h01, h11, f.x), f.y);
 }
 
-fn on_grid(grid: vec2f) -> bool {
-    return all(grid >= vec2f(0.0)) && all(grid <= frame.last_sample);
-}
-
 // On which side of the surface a point lies.
 fn side_of(point: vec3f) -> i32 {
     let h = height_at(point.xy);

@@ -108,12 +108,15 @@ fn hit_in_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> f32 {
     let enter = max(span.x, 0.0);
     if (span.y <= enter) { return MISS; }
     let side = side_of(origin + enter * direction);
-    if (side == BELOW && enter > 0.0) {
-        // Entered under the surface through a side. Inside the canvas that is a step between
-        // boxes, closed with a wall; at the canvas's edge the field is open.
-        let back = 0.5 / max(length(direction.xy), 1.0e-20);
-        let before = origin + (enter - back) * direction;
-        if (on_grid(before.xy) && side_of(before) != OPEN) { return enter; }
+    if (side == BELOW) {
+        // Entered under the surface. If the ray came to the canvas above it, it has met the
+        // surface on its way: this is a step between boxes, closed with a wall. Else it came in
+        // at the canvas's open edge.
+        let field = clip_to_box(
+            origin, direction, vec3f(0.0, 0.0, frame.bottom), vec3f(frame.last_sample, frame.top)
+        );
+        let first = clamp(field.x, 0.0, enter);
+        if (side_of(origin + first * direction) != BELOW) { return enter; }
     }
     return first_hit(origin, direction, enter, span.y, side);
 }
