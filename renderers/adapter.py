@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -92,11 +95,26 @@ def within(timeout_s: float, work: Callable[[], Adapter]) -> Adapter:
     return outcome[0]
 
 
+@contextmanager
+def _quiet_session() -> Iterator[None]:
+    """Keep the driver's search for a window from complaining on stderr where there is no session."""
+    name = "XDG_RUNTIME_DIR"
+    if name in os.environ:
+        yield
+        return
+    os.environ[name] = tempfile.gettempdir()
+    try:
+        yield
+    finally:
+        del os.environ[name]
+
+
 def _open() -> Adapter:
     import wgpu
 
     # power_preference never selects a software adapter where a real one exists.
-    adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
+    with _quiet_session():
+        adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
     if adapter is None:
         raise GpuUnavailable("no graphics adapter was found", fix=_ADVICE)
     limits = {name: adapter.limits[name] for name in _WANTED_LIMITS if name in adapter.limits}
