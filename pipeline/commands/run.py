@@ -11,6 +11,7 @@ import click
 
 from pipeline.commands import options
 from pipeline.engine.batch import Ending, Job, run_batch, run_job
+from pipeline.engine.cluster import run_on_cluster
 from pipeline.engine.display import make_display
 from pipeline.engine.recipe import between
 from pipeline.engine.runner import Selection
@@ -34,6 +35,7 @@ from pipeline.recipe import RECIPE
 @click.option(
     "--workers", type=click.IntRange(1), default=1, help="Bundles processed at once.  [default: 1]"
 )
+@click.option("--dask", metavar="ADDRESS", help="Send each bundle to this Dask scheduler.")
 @options.quiet
 def run(
     bundles: tuple[Path, ...],
@@ -43,6 +45,7 @@ def run(
     force: bool,
     settings: tuple[str, ...],
     workers: int,
+    dask: str | None,
     quiet: bool,
 ) -> None:
     """Take capture bundles through all stages; what is up to date is skipped.
@@ -52,8 +55,8 @@ def run(
     between(RECIPE, first, last)
     selection = Selection(first, last, force, parse_settings(settings, RECIPE))
     jobs = make_jobs(bundles, out, selection)
-    if len(jobs) > 1:
-        run_several(jobs, workers, quiet)
+    if len(jobs) > 1 or dask is not None:
+        run_several(jobs, workers, dask, quiet)
         return
     with make_display(quiet=quiet, terminal=sys.stdout.isatty()) as display:
         results = run_job(jobs[0], display)
@@ -79,8 +82,8 @@ def make_jobs(bundles: Sequence[Path], out: Path, selection: Selection) -> list[
     return jobs
 
 
-def run_several(jobs: Sequence[Job], workers: int, quiet: bool) -> None:
-    """Do the jobs; errors are told as they come, and a table closes.
+def run_several(jobs: Sequence[Job], workers: int, dask: str | None, quiet: bool) -> None:
+    """Do the jobs here or on a cluster; errors are told as they come, and a table closes.
 
     Raises
     ------
@@ -92,7 +95,10 @@ def run_several(jobs: Sequence[Job], workers: int, quiet: bool) -> None:
         if ending.status:
             click.echo(f"impasto: {ending.job.name}: {ending.text}", err=True)
 
-    endings = run_batch(jobs, workers, quiet=quiet, ended=ended)
+    if dask is None:
+        endings = run_batch(jobs, workers, quiet=quiet, ended=ended)
+    else:
+        endings = run_on_cluster(jobs, dask, ended=ended)
     if not quiet:
         width = max(len(job.name) for job in jobs)
         for ending in endings:

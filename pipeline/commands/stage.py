@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from pipeline.cli import COMMANDS
 from pipeline.commands import options
 from pipeline.engine.display import make_display
 from pipeline.engine.runner import Selection, plan, run_plan
@@ -17,7 +16,7 @@ from pipeline.recipe import RECIPE
 
 
 def _stage_command(name: str) -> click.Command:
-    @click.command(name, help=COMMANDS[name][1])
+    @click.command(name, help=f"Do {name} alone, from what the stages before left in WORKSPACE.")
     @click.argument("workspace", type=click.Path(path_type=Path))
     @options.force
     @options.settings

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -55,6 +57,12 @@ def run_job(job: Job, display: Display) -> list[Result]:
     return run_plan(planned, workspace, display, force=job.selection.force)
 
 
+def work_done(results: Sequence[Result]) -> str:
+    """Say in a few words what a job came to."""
+    done = sum(result.ran for result in results)
+    return f"{done} of {len(results)} stages done" if done else "nothing to do"
+
+
 def run_batch(
     jobs: Sequence[Job], workers: int, *, quiet: bool, ended: Callable[[Ending], None]
 ) -> list[Ending]:
@@ -79,7 +87,8 @@ def run_batch(
                 index, job = waiting.popleft()
                 receiver, sender = context.Pipe(duplex=False)
                 process = context.Process(target=_work, args=(job, threads, quiet, sender))
-                process.start()
+                with _interrupts_ignored():
+                    process.start()
                 sender.close()
                 running[process.sentinel] = (index, process, receiver, time.perf_counter())
             for sentinel in wait(list(running), timeout=_POLL_S):
@@ -95,6 +104,16 @@ def run_batch(
         for _, process, _, _ in running.values():
             process.join()
     return [endings[index] for index in range(len(jobs))]
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Let a process started in this block ignore Ctrl-C, which its parent turns into an end."""
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 def _result(process: SpawnProcess, receiver: Connection) -> tuple[int, str]:
@@ -113,8 +132,7 @@ def _work(job: Job, threads: int, quiet: bool, sender: Connection) -> None:
         os.environ.setdefault(name, str(threads))
     try:
         results = run_job(job, Quiet() if quiet else Lines(f"{job.name}: "))
-        done = sum(result.ran for result in results)
-        answer = 0, f"{done} of {len(results)} stages done" if done else "nothing to do"
+        answer = 0, work_done(results)
     except BaseException as error:
         answer = in_one_line(error)
     sender.send(answer)

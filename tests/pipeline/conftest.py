@@ -37,13 +37,14 @@ def toy_bundle(toy: ModuleType, tmp_path: Path) -> Path:
 def toy_process() -> Callable[..., subprocess.Popen[str]]:
     """Start the command line with the toy recipe in a process of its own."""
 
-    def start(*arguments: object) -> subprocess.Popen[str]:
+    def start(*arguments: object, own_group: bool = False) -> subprocess.Popen[str]:
         return subprocess.Popen(
             [sys.executable, str(ENGINE_TESTS / "toy_stages.py"), *map(str, arguments)],
             env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ENGINE_TESTS}"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            start_new_session=own_group,
         )
 
     return start

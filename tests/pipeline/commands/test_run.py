@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+
+from pipeline.engine.stage import writes
+from pipeline.engine.workspace import open_workspace
 
 Impasto = Callable[..., Any]
 
@@ -126,6 +136,64 @@ def test_several_bundles(
 
     ended = impasto("run", bundles[0], bundles[2], "--out", tmp_path / "out", "-q")
     assert ended == (0, "", "")
+
+
+def test_interrupt_ends_all_processes(
+    toy_process: Callable[..., subprocess.Popen[str]], toy_bundle: Path, tmp_path: Path
+) -> None:
+    bundles = [tmp_path / name for name in ("a", "b")]
+    for bundle in bundles:
+        shutil.copytree(toy_bundle, bundle)
+    sleeping = ("--workers", 2, "--set", "calibrate.behave=sleep")
+    process = toy_process("run", *bundles, "--out", tmp_path / "out", *sleeping, own_group=True)
+    deadline = time.monotonic() + 30
+    while not all((tmp_path / f"out/{name}/.engine/new/calibrate").exists() for name in "ab"):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    printed, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert (printed, errors) == ("", "impasto: interrupted; what was finished is kept\n")
+    for bundle in bundles:
+        with open_workspace(tmp_path / "out" / bundle.name).locked():
+            pass
+
+
+def test_full_disk_names_the_file(
+    impasto: Impasto,
+    toy: ModuleType,
+    toy_bundle: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def save(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    @dataclass(frozen=True)
+    class Outputs:
+        maps: Any = writes(replace(toy.MAPS, save=save))
+
+    def run(inputs: object, config: object, log: object) -> Outputs:
+        return Outputs({})
+
+    monkeypatch.setattr(toy, "FIT", replace(toy.FIT, outputs=Outputs, run=run))
+    ended = impasto("run", toy_bundle, "--out", tmp_path / "out", "-q")
+    line = (
+        f"impasto: {tmp_path}/out/fit/maps.json: it could not be written: No space left on device"
+    )
+    assert ended == (1, "", line + "\n")
+    assert (tmp_path / "out/scan/range.json").exists()
+    assert not (tmp_path / "out/fit").exists()
+
+
+def test_dask_without_distributed_is_wrong_usage(
+    impasto: Impasto, toy_bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    ended = impasto("run", toy_bundle, "--out", tmp_path / "out", "--dask", "tcp://host:8786")
+    assert (ended.status, ended.out) == (2, "")
+    assert re.fullmatch(r"impasto: --dask needs the package distributed[^\n]+\n", ended.err)
+    assert not (tmp_path / "out").exists()
 
 
 def test_bundles_of_one_name_are_refused(impasto: Impasto, tmp_path: Path) -> None:
