@@ -71,6 +71,8 @@ def stage_of(files: dict[str, bytes], stage: str) -> dict[str, bytes]:
     return {name: content for name, content in files.items() if name.startswith(stage + "/")}
 
 
+# The child only runs the toy stages and ends with os._exit, so threads cannot trouble it.
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("fresh", [True, False], ids=["first run", "redone"])
 def test_killed_before_every_write(
     toy: ModuleType, toy_bundle: Path, tmp_path: Path, snapshot: Snapshot, fresh: bool
