@@ -139,6 +139,8 @@ def _check_values(value: Any, where: str, key: str, depth: int) -> None:
 def _key(location: tuple[int | str, ...], document: Any) -> str:
     """Write a place as ``photos[3].exposure_s``, leaving out pydantic's names of union members."""
     key = ""
+    if location and location[-1] == "[key]":  # the name of an entry is wrong, not its value
+        location = location[:-2]
     for part in location:
         if isinstance(part, int):
             key += f"[{part}]"
