@@ -97,7 +97,7 @@ def within(timeout_s: float, work: Callable[[], Adapter]) -> Adapter:
 
 @contextmanager
 def _quiet_session() -> Iterator[None]:
-    """Keep the driver's search for a window from complaining on stderr where there is no session."""
+    """Keep the driver's search for a window from complaining where there is no session."""
     name = "XDG_RUNTIME_DIR"
     if name in os.environ:
         yield
