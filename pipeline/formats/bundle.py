@@ -120,7 +120,7 @@ class Bundle:
         header = self.header(file)
         try:
             path = locate(self.folder, file)
-            if read_image_header(path) != header:
+            if read_image_header(path).fitted(header.size_px) != header:
                 raise ImpastoError("has changed since the bundle was opened", fix="start again")
             return read_image(path, size_px=header.size_px)
         except ImpastoError as error:

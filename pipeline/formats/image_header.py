@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -32,17 +32,26 @@ class ImageHeader:
     kind
         The file format.
     size_px
-        (width, height) of what is read; for a RAW file, of the demosaicked picture.
+        (width, height) of what is read; for a RAW file, of the demosaicked picture or its crop.
     channels
         1 (grey) or 3 (RGB).
     depth
         Type of the stored values.
+    crop_px
+        (left, top, width, height) of the part that a RAW file's camera calls the picture.
     """
 
     kind: Literal["png", "tiff", "exr", "raw"]
     size_px: tuple[int, int]
     channels: Literal[1, 3]
     depth: Depth
+    crop_px: tuple[int, int, int, int] | None = None
+
+    def fitted(self, size_px: tuple[int, int]) -> ImageHeader:
+        """Take the camera's own crop of a RAW file where that, and not the whole, has the size."""
+        if self.crop_px is not None and self.size_px != size_px == self.crop_px[2:]:
+            return replace(self, size_px=size_px)
+        return self
 
     @property
     def full_scale(self) -> float:
@@ -141,9 +150,10 @@ def _probe_exr(path: Path) -> ImageHeader:
 
 
 def _probe_raw(path: Path) -> ImageHeader:
-    from pipeline.formats.raw import raw_size_px
+    from pipeline.formats.raw import raw_layout
 
-    return ImageHeader("raw", raw_size_px(path), 3, "uint16")
+    size_px, crop_px = raw_layout(path)
+    return ImageHeader("raw", size_px, 3, "uint16", crop_px)
 
 
 _PROBES: dict[str, Callable[[Path], ImageHeader]] = {

@@ -27,7 +27,7 @@ def read_image(path: Path, *, size_px: tuple[int, int] | None = None) -> Image:
     path
         A PNG, TIFF, EXR or RAW file.
     size_px
-        The (width, height) that it must have.
+        The (width, height) that it must have; a RAW file may have it after its camera's own crop.
 
     Returns
     -------
@@ -42,7 +42,14 @@ def read_image(path: Path, *, size_px: tuple[int, int] | None = None) -> Image:
         infinity. The size is checked before anything is allocated.
     """
     header = read_image_header(path)
-    check_size(path, header, size_px)
+    if size_px is not None:
+        header = header.fitted(size_px)
+        if header.size_px != size_px:
+            raise ImpastoError(
+                f"is {header.size_px[0]} x {header.size_px[1]} px",
+                where=str(path),
+                expected=f"{size_px[0]} x {size_px[1]} px",
+            )
     try:
         image = _DECODERS[header.kind](path, header)
     except OSError as error:
@@ -57,16 +64,6 @@ def read_image(path: Path, *, size_px: tuple[int, int] | None = None) -> Image:
             "holds NaN or infinity", where=str(path), expected="finite values at every pixel"
         )
     return image
-
-
-def check_size(path: Path, header: ImageHeader, size_px: tuple[int, int] | None) -> None:
-    """Raise an :class:`ImpastoError` if the image has not the expected size."""
-    if size_px is not None and header.size_px != tuple(size_px):
-        raise ImpastoError(
-            f"is {header.size_px[0]} x {header.size_px[1]} px",
-            where=str(path),
-            expected=f"{size_px[0]} x {size_px[1]} px",
-        )
 
 
 def write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -151,10 +148,14 @@ def _read_tiff(path: Path, header: ImageHeader) -> Image:
 def _decode_opencv(path: Path, data: NDArray[np.uint8]) -> Image:
     import cv2
 
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(0)  # what it would print, the error below says
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
         raise _corrupt(path) from error
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise _corrupt(path)
     return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
@@ -168,10 +169,14 @@ def _read_exr(path: Path, header: ImageHeader) -> Image:
     return planes[0] if header.channels == 1 else np.stack(planes, axis=-1)
 
 
-def _read_raw(path: Path, _: ImageHeader) -> Image:
+def _read_raw(path: Path, header: ImageHeader) -> Image:
     from pipeline.formats.raw import read_raw
 
-    return read_raw(path)
+    image = read_raw(path)
+    if header.crop_px is None or header.size_px != header.crop_px[2:]:
+        return image
+    left, top, width, height = header.crop_px
+    return np.ascontiguousarray(image[top : top + height, left : left + width])
 
 
 def _corrupt(path: Path) -> ImpastoError:

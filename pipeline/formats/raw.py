@@ -10,9 +10,20 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ImpastoError
 
+Rectangle = tuple[int, int, int, int]
 
-def raw_size_px(path: Path) -> tuple[int, int]:
-    """Return (width, height) of the developed picture, from the metadata alone.
+
+def raw_layout(path: Path) -> tuple[tuple[int, int], Rectangle | None]:
+    """Return the developed picture's size and the part that the camera calls the picture.
+
+    Only the metadata are read.
+
+    Returns
+    -------
+    tuple
+        (width, height) of what :func:`read_raw` gives, and (left, top, width, height) of the
+        camera's own crop inside it, which leaves out margins needed for demosaicking; None where
+        the file declares none.
 
     Raises
     ------
@@ -21,9 +32,15 @@ def raw_size_px(path: Path) -> tuple[int, int]:
     """
     try:
         with rawpy.imread(str(path)) as raw:
-            return raw.sizes.width, raw.sizes.height
+            sizes = raw.sizes
     except (rawpy.LibRawError, MemoryError) as error:
         raise _unreadable(path, error) from error
+    left = sizes.crop_left_margin - sizes.left_margin
+    top = sizes.crop_top_margin - sizes.top_margin
+    width, height = sizes.crop_width, sizes.crop_height
+    inside = left >= 0 and top >= 0 and left + width <= sizes.width and top + height <= sizes.height
+    crop = (left, top, width, height) if inside and width > 0 and height > 0 else None
+    return (sizes.width, sizes.height), crop
 
 
 def read_raw(path: Path) -> NDArray[np.uint16]:

@@ -97,7 +97,8 @@ def check_images(folder: Path, capture: Capture) -> dict[str, ImageHeader]:
                 headers[use.file] = read_image_header(locate(folder, use.file))
             except ImpastoError as error:
                 raise image_error(where, use.file, error) from error
-        header, size_px = headers[use.file], capture.cameras[use.camera].size_px
+        size_px = capture.cameras[use.camera].size_px
+        header = headers[use.file] = headers[use.file].fitted(size_px)
         if header.size_px != size_px:
             raise ImpastoError(
                 f"{use.file!r} is {_size(header.size_px)}",

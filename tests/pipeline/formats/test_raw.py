@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import struct
 from pathlib import Path
 
@@ -7,13 +8,20 @@ import numpy as np
 import pytest
 
 from pipeline.errors import ImpastoError
+from pipeline.formats.bundle import open_bundle
 from pipeline.formats.image_header import read_image_header
 from pipeline.formats.images import read_image
 
 BLACK, WHITE = 256, 4095
 
 
-def write_dng(path: Path, mosaic: np.ndarray, *, orientation: int = 1) -> None:
+def write_dng(
+    path: Path,
+    mosaic: np.ndarray,
+    *,
+    orientation: int = 1,
+    crop: tuple[int, int, int, int] | None = None,
+) -> None:
     """Write the smallest DNG that LibRaw reads: one uncompressed RGGB strip of 12 bits."""
     rows, columns = mosaic.shape
     data = mosaic.astype("<u2").tobytes()
@@ -41,6 +49,8 @@ def write_dng(path: Path, mosaic: np.ndarray, *, orientation: int = 1) -> None:
         50721: rational(10, np.eye(3).ravel().tolist()), 50728: rational(5, [0.5, 1.0, 0.7]),
         50778: short(21),
     }  # fmt: skip
+    if crop is not None:
+        tags |= {50719: long(*crop[:2]), 50720: long(*crop[2:])}
     values_at = 8 + 2 + 12 * len(tags) + 4
     values = b""
     entries = b""
@@ -81,6 +91,32 @@ def test_a_dark_raw_keeps_its_scale_and_its_colours(tmp_path: Path) -> None:
     image = read_image(tmp_path / "a.dng")
     expected = np.array([200, 100, 100]) / (WHITE - BLACK) * 65535
     np.testing.assert_allclose(image[20:40, 20:40], np.broadcast_to(expected, (20, 20, 3)), atol=2)
+
+
+def test_the_camera_s_own_crop_is_taken_where_it_has_the_size(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    mosaic = np.full((64, 96), BLACK, np.uint16)
+    mosaic[20:40, 30:50] = WHITE
+    write_dng(path, mosaic, crop=(4, 2, 88, 60))
+    whole = read_image(path, size_px=(96, 64))
+    np.testing.assert_array_equal(read_image(path), whole)
+    np.testing.assert_array_equal(read_image(path, size_px=(88, 60)), whole[2:62, 4:92])
+    with pytest.raises(ImpastoError, match="is 96 x 64 px; expected 90 x 60 px"):
+        read_image(path, size_px=(90, 60))
+
+
+@pytest.mark.parametrize("size_px", [[96, 64], [88, 60]])
+def test_a_bundle_of_raw_photographs_is_linear(tmp_path: Path, size_px: list[int]) -> None:
+    mosaic = np.full((64, 96), BLACK + 1000, np.uint16)
+    write_dng(tmp_path / "a.dng", mosaic, crop=(4, 2, 88, 60))
+    document = {
+        "format": "impasto-capture", "version": 1, "name": "raw", "encoding": "srgb",
+        "cameras": {"C0": {"size_px": size_px}}, "photos": [{"file": "a.dng", "camera": "C0"}],
+    }  # fmt: skip
+    (tmp_path / "capture.json").write_text(json.dumps(document))
+    image = open_bundle(tmp_path).read("a.dng")
+    assert image.shape == (size_px[1], size_px[0], 3)
+    np.testing.assert_allclose(image, 1000 / (WHITE - BLACK), atol=1e-4)
 
 
 def test_a_cut_raw_is_refused(tmp_path: Path) -> None:
