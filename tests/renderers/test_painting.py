@@ -133,9 +133,9 @@ def test_methods_agree_with_the_reference(make_asset, adapter, method, azimuth, 
     assert np.isfinite(image).all()
     away = calm(reference)
     error = np.abs(image - reference)[away][:, :3] / reference[..., :3].max()
-    assert np.count_nonzero(away) > 1000
-    assert np.percentile(error, 99) < 0.01
-    assert psnr(image[away], reference[away]) > 45
+    assert np.count_nonzero(away) > 500
+    assert np.percentile(error, 99) < 1e-3
+    assert psnr(image[away], reference[away]) > 60
     covered = (image[..., 3] > 0.5) == (reference[..., 3] > 0.5)
     assert covered.mean() > 0.99
 
