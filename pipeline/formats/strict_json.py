@@ -99,6 +99,8 @@ def explain(error: ValidationError, document: Any, *, where: str) -> ImpastoErro
     message = str(finding["msg"])
     if finding["type"] == "missing":
         return ImpastoError("the key is missing", where=f"{where}: {key}", fix=fix)
+    if finding["type"] == "json_invalid":  # what only the second parser minds: half a character
+        return ImpastoError(f"is not JSON: {message.removeprefix('Invalid JSON: ')}", where=where)
     expected = message.removeprefix("Input should be ").removeprefix("Value error, ")
     return ImpastoError(
         f"{_short(finding['input'])} is not allowed",

@@ -87,6 +87,11 @@ def test_a_model_s_errors_name_the_key(text: str, message: str) -> None:
     assert str(info.value) == message
 
 
+def test_half_a_character_is_refused() -> None:
+    with pytest.raises(ImpastoError, match=r"^d\.json: is not JSON: .*hex escape"):
+        parse_model(Tree, '{"name": "\\ud800", "parts": []}', where="d.json")
+
+
 def test_long_values_are_shortened() -> None:
     with pytest.raises(ImpastoError) as info:
         parse_model(Tree, '{"name": [' + "1, " * 999 + '1], "parts": []}', where="d.json")
