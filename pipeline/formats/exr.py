@@ -102,6 +102,18 @@ def read_exr(path: Path, names: Sequence[str] | None = None) -> dict[str, NDArra
     return {name: pixels[name] for name in wanted}
 
 
+def read_float_channels(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
+    """Read the named channels as one (rows, columns, len(names)) float32 image.
+
+    Raises
+    ------
+    ImpastoError
+        As :func:`read_exr`.
+    """
+    channels = read_exr(path, names)
+    return np.stack([channels[name] for name in names], axis=2).astype(np.float32, copy=False)
+
+
 def read_exr_attributes(path: Path) -> dict[str, str]:
     """Return the header's texts.
 

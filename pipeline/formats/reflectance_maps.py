@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ImpastoError
 from pipeline.formats.artifact import Artifact
-from pipeline.formats.exr import read_exr, write_exr
+from pipeline.formats.exr import read_exr, read_float_channels, write_exr
 
 
 @dataclass(frozen=True)
@@ -139,20 +139,16 @@ def _save_maps(workspace: Path, maps: ReflectanceMaps) -> None:
 def _load_maps(workspace: Path) -> ReflectanceMaps:
     diffuse, specular, lobe, quality, description = (workspace / file for file in _MAP_FILES)
     measured = read_exr(quality, ("RESIDUAL", "COUNT", "OBSERVED"))
+    residual: NDArray[np.float32] = measured["RESIDUAL"].astype(np.float32, copy=False)
     return ReflectanceMaps(
-        diffuse=_stack(diffuse, ("R", "G", "B")),
-        specular=_stack(specular, ("R", "G", "B")),
-        lobe=_stack(lobe, ("CXY", "CZ", "K")),
-        residual=measured["RESIDUAL"],
+        diffuse=read_float_channels(diffuse, ("R", "G", "B")),
+        specular=read_float_channels(specular, ("R", "G", "B")),
+        lobe=read_float_channels(lobe, ("CXY", "CZ", "K")),
+        residual=residual,
         count=measured["COUNT"].astype(np.int32),
         lobe_observed=measured["OBSERVED"] != 0,
         absolute=bool(json.loads(description.read_text(encoding="utf-8"))["absolute"]),
     )
-
-
-def _stack(path: Path, names: tuple[str, ...]) -> NDArray[np.float32]:
-    channels = read_exr(path, names)
-    return np.stack([channels[name] for name in names], axis=2)
 
 
 MAPS = Artifact(_MAP_FILES, _load_maps, _save_maps)

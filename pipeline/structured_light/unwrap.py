@@ -1,0 +1,164 @@
+"""From wrapped phase to the projector's coordinate: by Gray code, or by several periods."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+DOUBTFUL = 0.3
+"""Gray score below which a pixel may lie on the border of its cell."""
+
+_CLEAR_MARGIN = 9.0
+"""Difference of squared, normalised residuals (three sigma) by which one order must win."""
+
+
+def wrapped_coordinate(phase: Image, period_px: float) -> Image:
+    """Return the coordinate modulo the period: phase = 2 pi (c + 1/2) / period."""
+    return (phase * np.float32(period_px / (2 * math.pi)) - np.float32(0.5)).astype(np.float32)
+
+
+def unwrap_by_cells(
+    wrapped: Image,
+    period_px: float,
+    cell: NDArray[np.int32],
+    doubt: Image,
+    neighbour: NDArray[np.int32],
+    cell_px: int,
+    size_px: int,
+) -> tuple[Image, Image]:
+    """Choose the fringe order that lies nearest to where the Gray code says the pixel is.
+
+    That is the cell's centre, or, where the least sure bit would lead to an adjacent cell, the
+    border between the two: so a cell as wide as the period, whose ends look alike, is decided too.
+
+    Returns
+    -------
+    The coordinate (px, NaN outside the projector), and its distance from the expected place.
+    """
+    return _by_cells(wrapped, period_px, cell, doubt, neighbour, cell_px, size_px)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+def _by_cells(wrapped, period, cell, doubt, neighbour, cell_px, size):  # type: ignore[no-untyped-def]
+    rows, columns = wrapped.shape
+    coordinate = np.full((rows, columns), np.nan, np.float32)
+    away = np.full((rows, columns), np.nan, np.float32)
+    for row in prange(rows):
+        for column in range(columns):
+            start = wrapped[row, column]
+            index, other = cell[row, column], neighbour[row, column]
+            expected = index * cell_px + 0.5 * (cell_px - 1)
+            if doubt[row, column] < DOUBTFUL and abs(other - index) == 1:
+                expected = max(index, other) * cell_px - 0.5
+            found = start + period * math.floor((expected - start) / period + 0.5)
+            if -1.0 <= found <= size:
+                coordinate[row, column] = found
+                away[row, column] = abs(found - expected)
+    return coordinate, away
+
+
+def unwrap_by_periods(
+    wrapped: Image, sigma: Image, periods_px: NDArray[np.float64], size_px: int
+) -> tuple[Image, Image]:
+    """Choose the coordinate in the projector that agrees best with the phases of all periods.
+
+    Candidates are the shortest period's; the cost is the sum of squared, wrapped residuals over
+    their variances. A pixel whose second best is nearly as good is left out.
+
+    Parameters
+    ----------
+    wrapped, sigma
+        (periods, rows, columns) coordinates modulo each period, and their standard deviations.
+    periods_px
+        Ascending.
+
+    Returns
+    -------
+    The weighted mean of all periods' coordinates, and its standard deviation.
+    """
+    return _by_periods(wrapped, sigma, periods_px, size_px, _CLEAR_MARGIN)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+def _by_periods(wrapped, sigma, periods, size, clear):  # type: ignore[no-untyped-def]
+    count, rows, columns = wrapped.shape
+    coordinate = np.full((rows, columns), np.nan, np.float32)
+    spread = np.full((rows, columns), np.nan, np.float32)
+    for row in prange(rows):
+        for column in range(columns):
+            start = wrapped[0, row, column]
+            for i in range(count):
+                start += 0.0 * (wrapped[i, row, column] + sigma[i, row, column])
+            if not math.isfinite(start):
+                continue
+            start -= periods[0] * math.floor((start + 0.5) / periods[0])
+            best, second, chosen = np.inf, np.inf, np.nan
+            while start <= size - 0.5:
+                cost = 0.0
+                for i in range(1, count):
+                    d = wrapped[i, row, column] - start
+                    d -= periods[i] * math.floor(d / periods[i] + 0.5)
+                    cost += d * d / (sigma[i, row, column] ** 2 + sigma[0, row, column] ** 2)
+                if cost < best:
+                    best, second, chosen = cost, best, start
+                elif cost < second:
+                    second = cost
+                start += periods[0]
+            if not second - best > clear:
+                continue
+            total = weights = 0.0
+            for i in range(count):
+                d = wrapped[i, row, column] - chosen
+                d -= periods[i] * math.floor(d / periods[i] + 0.5)
+                weight = 1.0 / sigma[i, row, column] ** 2
+                total += weight * d
+                weights += weight
+            coordinate[row, column] = chosen + total / weights
+            spread[row, column] = 1.0 / math.sqrt(weights)
+    return coordinate, spread
+
+
+def repair_jumps(coordinate: Image, period_px: float) -> tuple[Image, int]:
+    """Shift lone pixels by whole periods to where nearly all of their neighbours lie.
+
+    Returns
+    -------
+    The repaired image, and how many pixels were shifted.
+    """
+    repaired, shifted = _repair(coordinate, period_px)
+    return repaired, int(shifted)
+
+
+@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+def _repair(coordinate, period):  # type: ignore[no-untyped-def]
+    rows, columns = coordinate.shape
+    repaired = coordinate.copy()
+    shifted = np.zeros(rows, np.int64)
+    for row in prange(rows):
+        around = np.empty(24, np.float32)
+        for column in range(columns):
+            here = coordinate[row, column]
+            n = 0
+            for r in range(max(row - 2, 0), min(row + 3, rows)):
+                for c in range(max(column - 2, 0), min(column + 3, columns)):
+                    if (r != row or c != column) and math.isfinite(coordinate[r, c]):
+                        around[n] = coordinate[r, c]
+                        n += 1
+            if n < 12 or not math.isfinite(here):
+                continue
+            middle = np.median(around[:n])
+            order = math.floor((middle - here) / period + 0.5)
+            if order == 0 or abs(here + order * period - middle) > 0.25 * period:
+                continue
+            close = 0
+            for i in range(n):
+                close += abs(around[i] - middle) < 0.25 * period
+            if close > 0.8 * n:
+                repaired[row, column] = here + order * period
+                shifted[row] += 1
+    return repaired, shifted.sum()
