@@ -1,1 +1,1 @@
-"""Cameras, projector and turntable: what the bundle gives is taken, the rest is found from boards."""
+"""Cameras, projector and turntable: what the bundle gives is taken, the rest comes from boards."""
