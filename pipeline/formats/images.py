@@ -82,7 +82,7 @@ def write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None
         raise ValueError(f"{array.dtype} of shape {array.shape} is not an 8- or 16-bit image")
     stored = array if array.ndim == 2 else array[..., ::-1]
     _, encoded = cv2.imencode(
-        ".png", np.ascontiguousarray(stored), [cv2.IMWRITE_PNG_COMPRESSION, 3]
+        ".png", np.ascontiguousarray(stored), [cv2.IMWRITE_PNG_COMPRESSION, 1]
     )
     path.write_bytes(encoded.tobytes())
 
