@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,12 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.engine.manifest import Manifest
 from pipeline.formats.boxes import Boxes
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.height_field import HeightField
 from pipeline.formats.range_image import RangeImage
 from pipeline.report import html
 from pipeline.report.figures import Picture, display, false_colour, fit_width, shaded_relief
+from pipeline.report.truth import TruthErrors
 
 MOST_FRAMES = 8
 MOST_PHOTOS = 8
@@ -110,31 +112,43 @@ def relief(field: HeightField, boxes: Boxes) -> str:
     return html.section("relief", "The relief classes", text, html.grid([body], "pair"))
 
 
-def truth(
-    rows: Iterable[Sequence[object]], error_mm: NDArray[np.floating], spacing_mm: float
-) -> str:
-    """Show the errors against a known truth: a table and a map.
-
-    Parameters
-    ----------
-    rows
-        (what, value, unit) of each figure.
-    error_mm
-        (rows, columns) measured minus true height; NaN where not compared.
-    spacing_mm
-        Sample spacing of ``error_mm``.
-    """
-    scale = false_colour(error_mm * 1000, "µm", symmetric=True)
-    bar = html.scale_bar(error_mm.shape[0], error_mm.shape[1], spacing_mm)
+def truth(errors: TruthErrors) -> str:
+    """Show the errors against a known truth: a table and a map."""
+    scale = false_colour(errors.error_mm * 1000, "µm", symmetric=True)
+    rows, columns = errors.error_mm.shape
+    bar = html.scale_bar(rows, columns, errors.spacing_mm)
     body = html.grid(
         [
-            html.table(("figure", "value", "unit"), rows),
+            html.table(("figure", "value", "unit"), errors.rows()),
             html.figure(scale.picture, "Measured minus true height", scale=scale, overlay=bar),
         ],
         "pair",
     )
     text = "This capture's truth is known; the result was laid over it by a rigid motion only."
     return html.section("truth", "Errors against the truth", text, body)
+
+
+def stages(manifests: Mapping[str, Manifest]) -> str:
+    """List the stages: outcome, time, memory, figures; what was skipped and why; warnings."""
+    rows, skipped, warnings = [], [], []
+    for name, manifest in manifests.items():
+        outcome = "done" if manifest.outcome == "done" else f"no work: {manifest.reason}"
+        figures = ", ".join(
+            f"{key.replace('_', ' ')} {html.number(value) if _is_number(value) else value}"
+            for key, value in manifest.metrics.items()
+        )
+        memory = float(manifest.run.get("peak_memory_bytes", 0)) / 2**20
+        rows.append((name, outcome, float(manifest.run.get("elapsed_s", 0)), memory, figures))
+        skipped += [(name, entry["what"], entry["why"]) for entry in manifest.skipped]
+        warnings += [(name, text) for text in manifest.warnings]
+    body = html.table(("stage", "outcome", "time, s", "peak memory, MiB", "figures"), rows)
+    if skipped:
+        body += "<p>Not computed, because the scene did not need it:</p>"
+        body += html.table(("stage", "what", "why"), skipped)
+    if warnings:
+        body += "<p>Warnings:</p>" + html.table(("stage", "warning"), warnings)
+    text = "How each stage ended, how long it took, and what it left out."
+    return html.section("stages", "The stages", text, body)
 
 
 def pictures(entries: Sequence[tuple[Path, str]]) -> str:
@@ -147,6 +161,10 @@ def pictures(entries: Sequence[tuple[Path, str]]) -> str:
             figures.append(html.figure(picture, caption))
     text = "The asset drawn under several lamps and from several places."
     return html.section("renders", "Seen again", text, html.grid(figures, "pair"))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _thumbnail(bundle: Bundle, file: str, caption: str) -> str:
