@@ -22,12 +22,13 @@ COVERAGE = 0.98
 
 
 def main(workspace: Path, truth: Path) -> int:
+    """Print the table; return 1 if a target is missed."""
     fitted = all((workspace / file).is_file() for file in MAPS.files)
     errors = errors_against_truth(
         HEIGHT.load(workspace), truth, maps=MAPS.load(workspace) if fitted else None
     )
     for what, value, unit in errors.rows():
-        print(f"{what:34} {value:>10} {unit}")
+        print(f"{what:44} {value:10.3f} {unit}")
     missed = [
         f"{name} is {getattr(errors, name):.3f}, at most {limit}"
         for name, limit in TARGETS.items()

@@ -1,12 +1,15 @@
-"""Errors against a known truth, after a rigid motion that lays the result over it.
+"""The errors of a result against a capture's known truth, after a rigid motion alone.
 
-A truth folder has ``surface.npz`` (x_mm, y_mm with row 0 the smallest y, height_mm, mask) and
-``truth.json`` (rig_from_canvas, cameras), as the simulated rig writes them.
+A truth folder holds ``surface.npz`` (x_mm, y_mm, height_mm, mask in the canvas frame, row 0 at the
+smallest y), ``truth.json`` (``rig_from_canvas`` and the cameras' poses) and, optionally,
+``brdf.npz`` (rho_d on the same grid). Nothing in a bundle points there.
 """
 
 from __future__ import annotations
 
 import json
+import zipfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,195 +19,268 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ImpastoError
 from pipeline.formats.height_field import HeightField
-from pipeline.geometry.height_grid import sample_bilinear
+from pipeline.formats.reflectance_maps import ReflectanceMaps
 from pipeline.geometry.rigid import RigidTransform
+from pipeline.report.alignment import TrueSurface, align, sample
 
 Array = NDArray[np.float64]
+Row = tuple[str, float, str]
+
+_NEAR_MM = 25.0
+"""Points of the right frame lie within this distance of the canvas plane."""
 
 _MOST_POINTS = 60_000
-_ITERATIONS = 30
-_HUBER_MM = 0.1
+"""Points used to align; more add nothing to six parameters."""
 
 
 @dataclass(frozen=True)
-class Surface:
-    """A true height field: heights (rows, columns), row 0 the *largest* y, NaN off the canvas."""
+class DiffuseErrors:
+    """How well rho_d was found, over all channels.
 
-    left_mm: float
-    top_mm: float
-    spacing_mm: tuple[float, float]
-    heights_mm: Array
+    Parameters
+    ----------
+    scale
+        Median of fitted over true: 1 if the radiometry is right; any value if only relative.
+    median, p95
+        Of the size of fitted / (scale x true) - 1.
+    absolute
+        The maps claim to be in 1/sr.
+    """
 
-    def sample(self, x_mm: Array, y_mm: Array) -> Array:
-        """Return the heights at points; NaN outside."""
-        columns = (x_mm - self.left_mm) / self.spacing_mm[0]
-        rows = (self.top_mm - y_mm) / self.spacing_mm[1]
-        return np.asarray(sample_bilinear(self.heights_mm, columns, rows), dtype=np.float64)
+    scale: float
+    median: float
+    p95: float
+    absolute: bool
 
 
 @dataclass(frozen=True)
 class TruthErrors:
-    """Height errors, measured minus true, mm, over the true canvas.
+    """Height errors (measured minus true) after rigid alignment, and the alignment's size.
 
     Parameters
     ----------
     error_mm
-        (rows, columns) on the truth's grid, row 0 at the top; NaN where not measured or off it.
-    covered
+        (rows, columns) float32 on the truth's grid, row 0 at the top; NaN where not compared.
+    spacing_mm
+        Of that grid.
+    coverage
         Share of the true canvas that was measured.
-    motion
-        The rigid motion that remained between the result and the truth.
+    bias_mm, median_mm, rms_mm, p95_mm, p99_mm
+        Mean; median and percentiles of the absolute error; root of the mean square.
+    normalised_rms
+        RMS of the error over its stated standard deviation, 1 if that is honest; NaN if none is.
+    rotation_deg, translation_mm
+        How far the alignment moved the canvas from where the capture's own frame puts it: 0 if
+        calibration is perfect. The translation is that of the canvas's centre.
+    diffuse
+        Errors of the diffuse albedo, if maps were given and the truth has them.
     """
 
     error_mm: NDArray[np.float32]
     spacing_mm: float
-    covered: float
+    coverage: float
     bias_mm: float
     median_mm: float
     rms_mm: float
-    percentile_95_mm: float
-    percentile_99_mm: float
+    p95_mm: float
+    p99_mm: float
     normalised_rms: float
-    motion: RigidTransform
+    rotation_deg: float
+    translation_mm: float
+    diffuse: DiffuseErrors | None = None
 
-    def rows(self) -> list[tuple[str, float, str]]:
-        """Return the figures as (what, value, unit) for a table."""
-        angle = np.degrees(np.arccos(np.clip((np.trace(self.motion.rotation) - 1) / 2, -1, 1)))
-        return [
-            ("canvas covered", self.covered * 100, "%"),
-            ("height error, median", self.median_mm * 1000, "µm"),
-            ("height error, RMS", self.rms_mm * 1000, "µm"),
-            ("height error, 95th percentile", self.percentile_95_mm * 1000, "µm"),
-            ("height error, 99th percentile", self.percentile_99_mm * 1000, "µm"),
-            ("bias", self.bias_mm * 1000, "µm"),
-            ("error over its stated deviation, RMS", self.normalised_rms, ""),
-            ("rotation taken out", float(angle), "°"),
-            ("shift taken out", float(np.linalg.norm(self.motion.translation_mm)), "mm"),
+    def rows(self) -> list[Row]:
+        """Return (what, value, unit) of each figure, for tables."""
+        rows: list[Row] = [
+            ("canvas measured", 100 * self.coverage, "%"),
+            ("height error, median", 1000 * self.median_mm, "µm"),
+            ("height error, RMS", 1000 * self.rms_mm, "µm"),
+            ("height error, 95th percentile", 1000 * self.p95_mm, "µm"),
+            ("height error, 99th percentile", 1000 * self.p99_mm, "µm"),
+            ("height error, mean", 1000 * self.bias_mm, "µm"),
+            ("height error over its stated deviation, RMS", self.normalised_rms, ""),
+            ("rotation taken out", self.rotation_deg, "°"),
+            ("shift taken out", self.translation_mm, "mm"),
         ]
+        if self.diffuse is not None:
+            unit = "x true" if self.diffuse.absolute else "x true (relative reflectance)"
+            rows += [
+                ("diffuse albedo, scale", self.diffuse.scale, unit),
+                ("diffuse albedo error, median", 100 * self.diffuse.median, "%"),
+                ("diffuse albedo error, 95th percentile", 100 * self.diffuse.p95, "%"),
+            ]
+        return rows
 
 
-def errors_against_truth(field: HeightField, folder: Path) -> TruthErrors:
-    """Compare a height field with the truth in ``folder``.
+def errors_against_truth(
+    height_field: HeightField, truth_folder: Path, *, maps: ReflectanceMaps | None = None
+) -> TruthErrors:
+    """Align a height field rigidly with the true surface and measure what differs.
+
+    Parameters
+    ----------
+    height_field
+        The result of ``extract``, in the rig's frame or in that of a camera of the truth.
+    truth_folder
+        As the module says.
+    maps
+        The result of ``fit`` on the height field's grid.
 
     Raises
     ------
     ImpastoError
-        A file of the truth is missing or is not what it should be, or the two do not overlap.
+        If the truth is absent or malformed, or the height field does not lie where it says.
     """
-    surface = read_surface(folder / "surface.npz")
-    starts = _starting_motions(folder / "truth.json", field)
-    points = field.canvas_points()[np.isfinite(field.heights_mm)]
-    points = points[:: max(1, len(points) // _MOST_POINTS)]
-    motion = min(starts, key=lambda start: _misfit(surface, start.apply(points)))
-    start = motion
-    if not np.isfinite(_misfit(surface, motion.apply(points))):
-        raise ImpastoError("the result does not lie over the truth", where=str(folder))
-    for _ in range(_ITERATIONS):
-        step = _step(surface, motion.apply(points))
-        motion = step @ motion
-        if np.abs(step.translation_mm).max() < 1e-6:
-            break
-    return _errors(field, surface, motion, motion @ start.inverse())
-
-
-def read_surface(path: Path) -> Surface:
-    """Read ``surface.npz``."""
+    surface, document = _load_surface(truth_folder), _load_document(truth_folder)
+    points = height_field.scan_from_canvas.apply(height_field.canvas_points())
+    points = points[np.isfinite(height_field.heights_mm)]
+    start = _starting_motion(points, surface, document, truth_folder)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            x, y = file["x_mm"].astype(np.float64), file["y_mm"].astype(np.float64)
-            heights, mask = file["height_mm"].astype(np.float64), file["mask"].astype(bool)
-    except (OSError, ValueError, KeyError) as error:
+        found = align(points[:: max(1, len(points) // _MOST_POINTS)], surface, start)
+    except ValueError as problem:
         raise ImpastoError(
-            f"it cannot be read ({error})",
-            where=str(path),
-            expected="x_mm, y_mm, height_mm and mask",
-        ) from error
-    if heights.shape != (len(y), len(x)) or mask.shape != heights.shape or min(heights.shape) < 2:
-        raise ImpastoError(
-            f"sizes {heights.shape}, {mask.shape} do not fit {len(y)} x {len(x)}", where=str(path)
-        )
-    upright = np.where(mask, heights, np.nan)[::-1]
-    return Surface(x[0], y[-1], (x[1] - x[0], y[1] - y[0]), upright)
+            f"the height field cannot be laid over the truth ({problem})", where=str(truth_folder)
+        ) from problem
 
-
-def _starting_motions(path: Path, field: HeightField) -> list[RigidTransform]:
-    """Return the motions that would be right if the scan's frame were the rig's, or a camera's."""
-    try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        canvas_from_rig = RigidTransform.from_matrix(
-            np.array(document["rig_from_canvas"])
-        ).inverse()
-        cameras = [
-            RigidTransform(np.array(entry["R"], float), np.array(entry["t_mm"], float))
-            for entry in document["cameras"].values()
-        ]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ImpastoError(f"it cannot be read ({error})", where=str(path)) from error
-    frames = [RigidTransform(), *(camera.inverse() for camera in cameras)]
-    return [canvas_from_rig @ frame @ field.scan_from_canvas for frame in frames]
-
-
-def _misfit(surface: Surface, points: Array) -> float:
-    difference = points[:, 2] - surface.sample(points[:, 0], points[:, 1])
-    known = np.isfinite(difference)
-    if known.mean() < 0.3:
-        return float("inf")
-    return float(np.median(np.abs(difference[known])))
-
-
-def _step(surface: Surface, points: Array) -> RigidTransform:
-    """Take one Gauss-Newton step of point-to-plane alignment (Chen and Medioni 1992)."""
-    reach = surface.spacing_mm[0]
-    x, y = points[:, 0], points[:, 1]
-    error = points[:, 2] - surface.sample(x, y)
-    by_x = (surface.sample(x + reach, y) - surface.sample(x - reach, y)) / (2 * reach)
-    by_y = (surface.sample(x, y + reach) - surface.sample(x, y - reach)) / (2 * reach)
-    known = np.isfinite(error + by_x + by_y)
-    error, placed = error[known], points[known]
-    normals = np.stack([-by_x[known], -by_y[known], np.ones(len(error))], axis=1)
-    design = np.concatenate([np.cross(placed, normals), normals], axis=1)
-    weight = 1 / np.maximum(1, np.abs(error) / _HUBER_MM)
-    weighted = design * weight[:, None]
-    solution = np.linalg.lstsq(weighted.T @ design, -weighted.T @ error, rcond=1e-12)[0]
-    turn, shift = solution[:3], solution[3:]
-    angle = np.linalg.norm(turn)
-    cross = np.array([[0, -turn[2], turn[1]], [turn[2], 0, -turn[0]], [-turn[1], turn[0], 0]])
-    rotation = np.eye(3) + np.sinc(angle / np.pi) * cross
-    rotation += 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
-    return RigidTransform(rotation, shift)
-
-
-def _errors(
-    field: HeightField, surface: Surface, motion: RigidTransform, moved: RigidTransform
-) -> TruthErrors:
-    rows, columns = surface.heights_mm.shape
-    x, y = np.meshgrid(
-        surface.left_mm + np.arange(columns) * surface.spacing_mm[0],
-        surface.top_mm - np.arange(rows) * surface.spacing_mm[1],
-    )
-    there = motion.inverse().apply(np.stack([x, y, surface.heights_mm], axis=-1))
-    across, down = there[..., 0] / field.spacing_mm, -there[..., 1] / field.spacing_mm
-    measured = sample_bilinear(field.heights_mm.astype(np.float64), across, down)
-    sigma = sample_bilinear(field.sigma_mm.astype(np.float64), across, down)
-    error = np.asarray(measured - there[..., 2], dtype=np.float64)
-    canvas = np.isfinite(surface.heights_mm)
-    known = np.isfinite(error) & canvas
+    true_points = np.stack([*np.meshgrid(surface.x_mm, surface.y_mm), surface.heights_mm], axis=-1)
+    there = (found @ height_field.scan_from_canvas).inverse().apply(true_points)
+    place = -there[..., 1] / height_field.spacing_mm, there[..., 0] / height_field.spacing_mm
+    error = sample(height_field.heights_mm.astype(np.float64), *place) - there[..., 2]
+    sigma = sample(height_field.sigma_mm.astype(np.float64), *place)
+    known, wanted = np.isfinite(error), np.isfinite(surface.heights_mm)
     if not known.any():
-        raise ImpastoError("the result covers none of the true canvas")
-    values = error[known]
+        raise ImpastoError("the height field does not overlap the truth", where=str(truth_folder))
+    diffuse = None
+    if maps is not None and (truth_folder / "brdf.npz").is_file():
+        true_diffuse = _load_diffuse(truth_folder, surface)[wanted]
+        diffuse = _diffuse_errors(maps, true_diffuse, place[0][wanted], place[1][wanted])
+    values, size = error[known], np.abs(error[known])
     stated = known & (sigma > 0)
-    size = np.abs(values)
+    residual = found @ start.inverse()
     return TruthErrors(
-        error_mm=np.where(known, error, np.nan).astype(np.float32),
-        spacing_mm=surface.spacing_mm[0],
-        covered=float(known.sum() / canvas.sum()),
-        bias_mm=float(np.mean(values)),
+        error_mm=error[::-1].astype(np.float32),
+        spacing_mm=surface.spacing_mm,
+        coverage=values.size / int(wanted.sum()),
+        bias_mm=float(values.mean()),
         median_mm=float(np.median(size)),
         rms_mm=float(np.sqrt(np.mean(values**2))),
-        percentile_95_mm=float(np.percentile(size, 95)),
-        percentile_99_mm=float(np.percentile(size, 99)),
+        p95_mm=float(np.percentile(size, 95)),
+        p99_mm=float(np.percentile(size, 99)),
         normalised_rms=float(np.sqrt(np.mean((error[stated] / sigma[stated]) ** 2)))
         if stated.any()
         else float("nan"),
-        motion=moved,
+        rotation_deg=_angle_deg(residual),
+        translation_mm=float(np.linalg.norm(residual.translation_mm)),
+        diffuse=diffuse,
     )
+
+
+def _starting_motion(
+    points: Array, surface: TrueSurface, document: dict[str, Any], folder: Path
+) -> RigidTransform:
+    """Return the motion from the scan's frame, rig or camera, to the truth's canvas."""
+    best, motion = 0.0, RigidTransform()
+    for candidate in _frames(document, folder):
+        moved = candidate.apply(points)
+        rows, columns = surface.grid_position(moved)
+        inside = (rows >= 0) & (rows <= len(surface.y_mm) - 1)
+        inside &= (columns >= 0) & (columns <= len(surface.x_mm) - 1)
+        inside &= np.abs(moved[:, 2]) < _NEAR_MM
+        share = float(inside.mean()) if len(points) else 0.0
+        if share > best:
+            best, motion = share, candidate
+    if best < 0.5:
+        raise ImpastoError(
+            f"at most {best:.0%} of the height field lies where the truth has its canvas",
+            where=str(folder),
+            expected="the truth of this capture",
+        )
+    return motion
+
+
+def _frames(document: dict[str, Any], folder: Path) -> Iterator[RigidTransform]:
+    """Yield canvas from rig, then canvas from each camera."""
+    try:
+        canvas_from_rig = RigidTransform.from_matrix(document["rig_from_canvas"]).inverse()
+        yield canvas_from_rig
+        for camera in document["cameras"].values():
+            pose = RigidTransform(np.array(camera["R"]), np.array(camera["t_mm"]))
+            yield canvas_from_rig @ pose.inverse()
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise _malformed(folder / "truth.json", error) from error
+
+
+def _diffuse_errors(
+    maps: ReflectanceMaps, true: Array, rows: Array, columns: Array
+) -> DiffuseErrors | None:
+    """Compare at (N,) places, where the truth is (N, 3)."""
+    fitted = [sample(maps.diffuse[..., i].astype(np.float64), rows, columns) for i in range(3)]
+    ratio = np.stack(fitted, axis=-1) / true
+    ratio = ratio[np.isfinite(ratio)]
+    scale = float(np.median(ratio)) if ratio.size else 0.0
+    if scale <= 0:
+        return None
+    size = np.abs(ratio / scale - 1)
+    return DiffuseErrors(
+        scale, float(np.median(size)), float(np.percentile(size, 95)), maps.absolute
+    )
+
+
+def _load_surface(folder: Path) -> TrueSurface:
+    path = folder / "surface.npz"
+    arrays = _load_npz(path, ("x_mm", "y_mm", "height_mm", "mask"))
+    x, y = (arrays[name].astype(np.float64) for name in ("x_mm", "y_mm"))
+    heights, mask = arrays["height_mm"].astype(np.float64), arrays["mask"].astype(bool)
+    if x.ndim != 1 or y.ndim != 1 or min(len(x), len(y)) < 2:
+        raise _malformed(path, "x_mm and y_mm are no axes")
+    if not heights.shape == mask.shape == (len(y), len(x)):
+        raise _malformed(path, f"height_mm has the shape {heights.shape}")
+    for axis in (x, y):
+        step = np.diff(axis)
+        if not (step > 0).all() or np.ptp(step) > 1e-3 * step.mean():
+            raise _malformed(path, "x_mm and y_mm are not ascending in equal steps")
+    if not mask.any():
+        raise _malformed(path, "the mask is empty")
+    return TrueSurface(x, y, np.where(mask, heights, np.nan))
+
+
+def _load_diffuse(folder: Path, surface: TrueSurface) -> Array:
+    path = folder / "brdf.npz"
+    rho_d = _load_npz(path, ("rho_d",))["rho_d"].astype(np.float64)
+    if rho_d.shape != (*surface.heights_mm.shape, 3):
+        raise _malformed(path, f"rho_d has the shape {rho_d.shape}")
+    return np.where(rho_d > 0, rho_d, np.nan)
+
+
+def _load_npz(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names}
+    except FileNotFoundError:
+        raise ImpastoError(
+            "the file does not exist", where=str(path), expected="a folder with a capture's truth"
+        ) from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise _malformed(path, error) from error
+
+
+def _load_document(folder: Path) -> dict[str, Any]:
+    path = folder / "truth.json"
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise _malformed(path, error) from error
+    if not isinstance(document, dict):
+        raise _malformed(path, "it is no object")
+    return document
+
+
+def _malformed(path: Path, why: object) -> ImpastoError:
+    return ImpastoError(f"the truth cannot be read ({why})", where=str(path))
+
+
+def _angle_deg(motion: RigidTransform) -> float:
+    """Return the angle of a rotation from its skew part and its trace, stable near 0."""
+    r = motion.rotation
+    skew = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    return float(np.degrees(np.arctan2(np.linalg.norm(skew), np.trace(r) - 1)))

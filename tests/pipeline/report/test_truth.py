@@ -91,6 +91,7 @@ def maps(factor: float) -> ReflectanceMaps:
 def test_the_exact_field_has_no_error(truth: Path) -> None:
     errors = errors_against_truth(measured(), truth)
     assert errors.rms_mm < 1e-6
+    assert np.isnan(errors.normalised_rms)
     assert errors.coverage > 0.95
     assert errors.rotation_deg < 1e-5
     assert errors.translation_mm < 1e-5
@@ -131,9 +132,10 @@ def test_a_bump_is_reported_where_it_is(truth: Path) -> None:
 
 def test_noise_gives_its_own_percentiles(truth: Path) -> None:
     random = np.random.default_rng(3)
-    errors = errors_against_truth(
-        measured(error=lambda x, y: random.normal(0, 0.05, x.shape)), truth
-    )
+    field = measured(error=lambda x, y: random.normal(0, 0.05, x.shape))
+    field.sigma_mm[:] = 0.025
+    errors = errors_against_truth(field, truth)
+    assert errors.normalised_rms == pytest.approx(2.0, rel=0.05)
     assert errors.rms_mm == pytest.approx(0.05, rel=0.05)
     assert errors.median_mm == pytest.approx(0.6745 * 0.05, rel=0.05)
     assert errors.p95_mm == pytest.approx(1.96 * 0.05, rel=0.05)
@@ -177,7 +179,7 @@ def test_the_table_has_a_row_for_each_figure(truth: Path) -> None:
     errors = errors_against_truth(measured(), truth, maps=maps(1.0))
     assert isinstance(errors, TruthErrors)
     rows = errors.rows()
-    assert len(rows) == 11
+    assert len(rows) == 12
     assert all(len(row) == 3 for row in rows)
 
 
