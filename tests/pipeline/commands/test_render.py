@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import pipeline.formats.asset
 from pipeline.commands.render import BACKENDS, METHODS, render
 from pipeline.errors import ImpastoError
-from pipeline.formats.asset import Asset
+from pipeline.formats.asset import Asset, save_asset
 from pipeline.formats.boxes import Boxes
 from pipeline.formats.exr import read_exr
 from renderers import draw
@@ -32,19 +31,12 @@ def grey_asset() -> Asset:
 
 
 @pytest.fixture
-def workspace(tmp_path, monkeypatch):
-    """A workspace whose asset loads as a grey card."""
-    (tmp_path / "work" / "asset").mkdir(parents=True)
-    (tmp_path / "work" / "asset" / "asset.json").write_text("{}")
-    loaded = []
-
-    def load(folder):
-        loaded.append(folder)
-        return grey_asset()
-
-    monkeypatch.setattr(pipeline.formats.asset, "load_asset", load, raising=False)
-    yield tmp_path / "work"
-    assert set(loaded) <= {tmp_path / "work" / "asset"}
+def workspace(tmp_path):
+    """A workspace whose asset is a grey card."""
+    folder = tmp_path / "work" / "asset"
+    folder.mkdir(parents=True)
+    save_asset(folder, grey_asset())
+    return tmp_path / "work"
 
 
 def run(*arguments):
