@@ -11,6 +11,7 @@ from pipeline.formats.calibration import Turntable
 from pipeline.geometry.rigid import RigidTransform
 
 FEWEST_ANGLES = 3
+LARGEST_TURN = 170.0
 
 
 def turntable_axis(boards: Mapping[float, RigidTransform]) -> Turntable | None:
@@ -28,7 +29,8 @@ def turntable_axis(boards: Mapping[float, RigidTransform]) -> Turntable | None:
         for second in angles[i + 1 :]:
             motion = boards[second] @ boards[first].inverse()
             turn = (second - first + 180) % 360 - 180
-            if abs(turn) < 1e-6:
+            # A half turn has two axes, and none of them is surer than the noise.
+            if not 1e-6 < abs(turn) < LARGEST_TURN:
                 continue
             direction += np.sign(turn) * cv2.Rodrigues(motion.rotation)[0].ravel()
             pairs.append(motion)

@@ -1,4 +1,4 @@
-"""``impasto demo``: a simulated painting is captured, processed, drawn, and held against its truth."""
+"""``impasto demo``: a simulated painting is captured, processed, drawn, and compared to truth."""
 
 from __future__ import annotations
 
@@ -49,9 +49,7 @@ def demo(out: Path, seed: int, photos: int) -> None:
     from pipeline.engine.batch import Job, run_job
     from pipeline.engine.display import make_display
     from pipeline.engine.runner import Selection
-    from pipeline.formats.height_field import HEIGHT
     from pipeline.recipe import RECIPE
-    from pipeline.report.truth import errors_against_truth
 
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
@@ -59,8 +57,9 @@ def demo(out: Path, seed: int, photos: int) -> None:
     capture(out, seed, photos)
     with make_display(quiet=False, terminal=sys.stdout.isatty()) as display:
         run_job(Job(bundle, out, RECIPE, Selection()), display)
-    page = report.write(out, None, truth=truth, with_pictures=True, say=click.echo)
-    show_errors(errors_against_truth(HEIGHT.load(out), truth))
+    page, errors = report.write(out, None, truth=truth, with_pictures=True, say=click.echo)
+    if errors is not None:
+        show_errors(errors)
     click.echo(f"asset      {out / 'asset'}")
     click.echo(f"report     {page}")
     click.echo(f"all done in {time.perf_counter() - started:.0f} s")
@@ -69,7 +68,7 @@ def demo(out: Path, seed: int, photos: int) -> None:
 def capture(out: Path, seed: int, photos: int) -> None:
     """Let the simulated rig record a bundle and its truth, unless they are there already.
 
-    A mark, written last, says with what the capture was made; without it a broken-off one is redone.
+    A mark, written last, says how the capture was made; without it a broken-off one is redone.
     """
     from hardware.simulated.studio import Setting, record
     from pipeline import __version__
@@ -89,7 +88,7 @@ def capture(out: Path, seed: int, photos: int) -> None:
     started = time.perf_counter()
     shown = ""
 
-    def progress(what: str, done: int, total: int) -> None:
+    def progress(what: str, _done: int, total: int) -> None:
         nonlocal shown
         if what != shown:
             shown = what

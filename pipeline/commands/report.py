@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from pipeline.report.truth import TruthErrors
 
 
 @click.command(short_help="Write a page that shows a workspace.")
@@ -27,7 +31,7 @@ def report(workspace: Path, out: Path | None, truth: Path | None, no_pictures: b
     The page has the capture, the range map, the height field, the relief, renders under several
     lamps, and how each stage went.
     """
-    page = write(workspace, out, truth=truth, with_pictures=not no_pictures, say=click.echo)
+    page, _ = write(workspace, out, truth=truth, with_pictures=not no_pictures, say=click.echo)
     click.echo(f"report     {page}")
 
 
@@ -38,11 +42,17 @@ def write(
     truth: Path | None,
     with_pictures: bool,
     say: Callable[[str], None],
-) -> Path:
-    """Draw the pictures if there is an asset, compare with the truth if given, write the page."""
+) -> tuple[Path, TruthErrors | None]:
+    """Draw the pictures if there is an asset, compare with the truth if given, write the page.
+
+    Returns
+    -------
+    Where the page is, and the errors against the truth.
+    """
     from pipeline.commands.pictures import draw_pictures
     from pipeline.engine.workspace import open_workspace
     from pipeline.formats.height_field import HEIGHT
+    from pipeline.formats.reflectance_maps import MAPS
     from pipeline.report.page import write_report
     from pipeline.report.truth import errors_against_truth
 
@@ -54,7 +64,9 @@ def write(
         pictures = [(picture.path, picture.caption) for picture in drawn]
     errors = None
     if truth is not None:
-        errors = errors_against_truth(HEIGHT.load(workspace.folder), truth)
+        fitted = workspace.manifest("fit")
+        maps = MAPS.load(workspace.folder) if fitted and fitted.outcome == "done" else None
+        errors = errors_against_truth(HEIGHT.load(workspace.folder), truth, maps=maps)
     page = workspace.folder / "report.html" if out is None else out
     write_report(workspace, page, pictures=pictures, truth=errors)
-    return page
+    return page, errors
