@@ -1,130 +1,237 @@
-"""Taking a capture: sequences of patterns and photographs, written into a bundle as they come."""
+"""Taking a capture: pattern sequences and photographs, written into a bundle as they come."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from types import TracebackType
+from typing import Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hardware.devices import Camera, LampArc, Projector, Turntable
+from hardware.devices import Camera, Rig
+from pipeline.errors import HardwareError
 from pipeline.formats.bundle_writer import BundleWriter
-from pipeline.formats.patterns import Black, Gray, Pattern, Phase, White
+from pipeline.formats.patterns import Axis, Black, Gray, Pattern, Phase, White
 
-Say = Callable[[str], None]
+Progress = Callable[[str, int, int], None]
+
+_SATURATED, _MOST_SATURATED = 0.98, 0.002
+_LEVEL, _PROBES = 0.8, 8
+_IN_FLIGHT = 8
+"""Images that may wait to be written, so that a slow disk slows the rig and not the memory."""
 
 
 @dataclass(frozen=True)
-class PatternPlan:
-    """Which patterns a sequence shows.
+class Coding:
+    """How one axis of the projector is coded: Gray code, then phase steps of each period."""
 
-    Parameters
-    ----------
-    periods_px
-        Phase period by axis.
-    cells_px, bits
-        Gray code by axis.
-    steps
-        Phase steps of each period.
-    inverted
-        Show each Gray bit inverted, too.
-    """
-
-    periods_px: dict[str, float]
-    cells_px: dict[str, int]
-    bits: dict[str, int]
+    axis: Axis
+    bits: int = 0
+    cell_px: int = 1
+    periods_px: tuple[float, ...] = ()
     steps: int = 4
     inverted: bool = False
 
     def patterns(self) -> list[Pattern]:
-        """List the patterns in the order they are shown."""
-        shown: list[Pattern] = [White(), Black()]
-        for axis in sorted(self.periods_px):
-            code: dict[str, Any] = {"axis": axis, "bits": self.bits[axis]}
-            code["cell_px"] = self.cells_px[axis]
-            shown += [
-                Gray(**code, bit=bit, inverted=inverted)
-                for bit in range(self.bits[axis])
-                for inverted in ((False, True) if self.inverted else (False,))
-            ]
-            fringes: dict[str, Any] = {"axis": axis, "period_px": self.periods_px[axis]}
-            shown += [Phase(**fringes, step=i, steps=self.steps) for i in range(self.steps)]
-        return shown
+        """List the patterns in the order in which they are shown."""
+        gray: list[Pattern] = [
+            Gray(axis=self.axis, bit=bit, bits=self.bits, cell_px=self.cell_px, inverted=inverted)
+            for bit in range(self.bits)
+            for inverted in ((False, True) if self.inverted else (False,))
+        ]
+        phase = [
+            Phase(axis=self.axis, period_px=period, step=step, steps=self.steps)
+            for period in self.periods_px
+            for step in range(self.steps)
+        ]
+        return gray + phase
 
 
-@dataclass
-class Acquisition:
-    """Drives the devices and keeps the bundle's document as it grows."""
+def coded(*codings: Coding, uniform: bool = True) -> tuple[Pattern, ...]:
+    """List white and black (unless ``uniform`` is false) and each axis's patterns."""
+    first: list[Pattern] = [White(), Black()] if uniform else []
+    return tuple(first + [pattern for coding in codings for pattern in coding.patterns()])
 
-    writer: BundleWriter
-    projector: Projector
-    turntable: Turntable
-    lamps: LampArc
-    sequences: list[dict[str, Any]] = field(default_factory=list)
-    photos: list[dict[str, Any]] = field(default_factory=list)
 
-    def sequence(
+@dataclass(frozen=True)
+class SequencePlan:
+    """One sequence of patterns.
+
+    Parameters
+    ----------
+    subject
+        What the operator puts in place.
+    exposures
+        Relative to the metered one, which leaves white paint just below saturation.
+    stored_bits
+        8 or 16.
+    keys
+        Further keys of the document's entry (``board``, ``on_turntable``).
+    """
+
+    name: str
+    purpose: Literal["calibrate", "scan", "pose", "light"]
+    camera: str
+    patterns: tuple[Pattern, ...]
+    subject: str
+    exposures: tuple[float, ...] = (1.0,)
+    stored_bits: Literal[8, 16] = 16
+    turntable_deg: float = 0.0
+    keys: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PhotoPlan:
+    """One photograph under the lamp at a stop."""
+
+    camera: str
+    stop: str
+    turntable_deg: float
+    subject: str
+
+
+def acquire(
+    rig: Rig,
+    writer: BundleWriter,
+    sequences: Sequence[SequencePlan],
+    photos: Sequence[PhotoPlan],
+    progress: Progress,
+) -> dict[str, Any]:
+    """Take everything planned; the lamp is off and the projector dark on any exit.
+
+    Returns
+    -------
+    The document's ``sequences`` and ``photos``. Closing the writer with the whole document is the
+    caller's part.
+
+    Raises
+    ------
+    HardwareError
+        A device failed.
+    """
+    entries: dict[str, Any] = {"sequences": [], "photos": []}
+    with _Writing(writer) as writing:
+        try:
+            for done, plan in enumerate(sequences):
+                progress(f"{plan.purpose} {plan.name}", done, len(sequences))
+                entries["sequences"].append(_take_sequence(rig, writing, plan))
+            for done, photo in enumerate(photos):
+                progress("photographs", done, len(photos))
+                entries["photos"].append(_take_photo(rig, writing, photo, done))
+        finally:
+            rig.lamp.switch(False)
+            rig.projector.show(None)
+    return entries
+
+
+def meter(camera: Camera, probe_s: float) -> float:
+    """Find the exposure at which the brightest parts but a few lie at 0.8 of full scale.
+
+    Raises
+    ------
+    HardwareError
+        The picture is black, or no exposure is short enough.
+    """
+    exposure_s = probe_s
+    for _ in range(_PROBES):
+        frame = camera.capture(exposure_s)
+        value = frame.image / 65535.0
+        if np.mean(value > _SATURATED) > _MOST_SATURATED:
+            exposure_s = frame.exposure_s / 4
+            continue
+        peak = float(np.quantile(value, 1 - _MOST_SATURATED))
+        if peak < 1e-3:
+            exposure_s = frame.exposure_s * 64
+        elif peak < 0.1:
+            exposure_s = frame.exposure_s * 0.5 / peak
+        else:
+            return round(frame.exposure_s * _LEVEL / peak, 6)
+    raise HardwareError(
+        f"no exposure was found ({exposure_s:.3g} s is not right either)",
+        expected="a picture that is neither black nor saturated",
+        fix="check lens cap, projector and lamp",
+    )
+
+
+def _take_sequence(rig: Rig, writing: _Writing, plan: SequencePlan) -> dict[str, Any]:
+    rig.operator.place(plan.subject)
+    rig.turntable.move_to(plan.turntable_deg)
+    rig.lamp.switch(False)
+    camera = rig.cameras[plan.camera]
+    rig.projector.show(White())
+    metered_s = meter(camera, 0.01)
+    entries: list[dict[str, Any]] = []
+    # Pattern by pattern: the projector is slower than the camera.
+    for pattern in plan.patterns:
+        rig.projector.show(pattern)
+        for i, relative in enumerate(plan.exposures):
+            frame = camera.capture(round(metered_s * relative, 6))
+            file = f"{plan.name}/{i}-{len(entries) // len(plan.exposures):03d}.png"
+            writing.add(file, _stored(frame.image, plan.stored_bits))
+            shown = pattern.model_dump(exclude_defaults=True) | {"type": pattern.type}
+            entries.append({"file": file, "pattern": shown, "exposure_s": frame.exposure_s})
+    return {
+        "name": plan.name,
+        "purpose": plan.purpose,
+        "camera": plan.camera,
+        "turntable_deg": plan.turntable_deg,
+        **plan.keys,
+        "frames": entries,
+    }
+
+
+def _take_photo(rig: Rig, writing: _Writing, plan: PhotoPlan, number: int) -> dict[str, Any]:
+    rig.operator.place(plan.subject)
+    rig.turntable.move_to(plan.turntable_deg)
+    rig.projector.show(None)
+    rig.arc.move_to(plan.stop)
+    rig.lamp.switch(True)
+    camera = rig.cameras[plan.camera]
+    frame = camera.capture(meter(camera, 0.02))
+    file = f"photos/{number:04d}.png"
+    writing.add(file, frame.image)
+    return {
+        "file": file,
+        "camera": plan.camera,
+        "turntable_deg": plan.turntable_deg,
+        "light": plan.stop,
+        "exposure_s": frame.exposure_s,
+    }
+
+
+def _stored(image: NDArray[np.uint16], bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    if bits == 16:
+        return image
+    return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
+class _Writing:
+    """Writes images in the background; the first error ends the capture."""
+
+    def __init__(self, writer: BundleWriter) -> None:
+        self._writer = writer
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="write")
+        self._pending: list[Future[None]] = []
+
+    def add(self, file: str, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+        """Queue an image, waiting if too many wait already."""
+        while len(self._pending) >= _IN_FLIGHT:
+            self._pending.pop(0).result()
+        self._pending.append(self._pool.submit(self._writer.add_image, file, image))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
         self,
-        camera: Camera,
-        patterns: Iterable[Pattern],
-        exposures_s: Iterable[float],
-        *,
-        name: str,
-        purpose: str,
-        camera_name: str,
-        turntable_deg: float = 0.0,
-        **keys: Any,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
-        """Show the patterns at every exposure and record the frames."""
-        self.turntable.turn_to(turntable_deg)
-        self.lamps.light_from(None)
-        frames = []
-        chosen = list(patterns)
-        for exposure_s in exposures_s:
-            for pattern in chosen:
-                self.projector.show(pattern)
-                file = f"{name}/{len(frames):03d}.png"
-                self.writer.add_image(file, camera.expose(exposure_s))
-                shown = pattern.model_dump(exclude_defaults=False)
-                frames.append({"file": file, "pattern": shown, "exposure_s": exposure_s})
-        self.projector.show(None)
-        self.sequences.append(
-            {
-                "name": name,
-                "purpose": purpose,
-                "camera": camera_name,
-                "turntable_deg": turntable_deg,
-                **keys,
-                "frames": frames,
-            }
-        )
-
-    def photograph(
-        self,
-        camera: Camera,
-        *,
-        camera_name: str,
-        stop: str,
-        turntable_deg: float,
-        exposure_s: float,
-    ) -> None:
-        """Take one photograph under one lamp, the exposure halved until little of it saturates."""
-        self.turntable.turn_to(turntable_deg)
-        self.projector.show(None)
-        self.lamps.light_from(stop)
-        image = camera.expose(exposure_s)
-        while np.mean(image >= np.iinfo(image.dtype).max) > 0.002 and exposure_s > 1e-4:
-            exposure_s /= 2
-            image = camera.expose(exposure_s)
-        file = f"photos/{len(self.photos):04d}.png"
-        self.writer.add_image(file, image)
-        self.photos.append(
-            {
-                "file": file,
-                "camera": camera_name,
-                "turntable_deg": turntable_deg,
-                "light": stop,
-                "exposure_s": exposure_s,
-            }
-        )
+        self._pool.shutdown(wait=True, cancel_futures=error is not None)
+        if error is None:
+            for future in self._pending:
+                future.result()

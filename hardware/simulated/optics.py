@@ -1,180 +1,217 @@
-"""What a camera sees of an object under a projector or a lamp: geometry once, light per frame."""
+"""Light: from a source to the subject, from there to the camera's pixels, and into its sensor."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
-from hardware.simulated.painting import Scene
+from hardware.simulated.subjects import Hits, Subject
+from pipeline.formats.patterns import Pattern, Product, pattern_image
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.raycast import RayCaster
-from pipeline.geometry.rigid import RigidTransform
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 
-_SHADOW_MARGIN_MM = 0.02
+GREY = np.array([0.25, 0.5, 0.25], np.float32)
+"""A Bayer mosaic's mean of R, G, G and B."""
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What each ray of a camera meets; arrays over rays (rows, columns, ...), object's frame.
+class Eye:
+    """A camera's rays, ``samples`` x ``samples`` per pixel, in the rig's frame.
 
-    ``points_mm`` is NaN where a ray meets nothing; ``normals`` are unit vectors towards the viewer;
-    ``diffuse``, ``specular``, ``lobe`` as in the scene.
+    Parameters
+    ----------
+    directions
+        (rows x columns x samples^2, 3); the samples of a pixel follow one another.
     """
 
-    points_mm: Array
-    normals: Array
-    diffuse: Array
-    specular: Array
-    lobe: Array
+    camera: Camera
+    samples: int
+    origin_mm: Array
+    directions: Array
 
 
-class Solid(Protocol):
-    """An object in its own frame."""
-
-    def look(self, origin_mm: Array, directions: Array) -> Seen:
-        """Meet rays (rows, columns, 3) from one point."""
-
-    def lit(self, points_mm: Array, light_mm: Array) -> NDArray[np.bool_]:
-        """Tell which points see the light."""
-
-
-class PaintingSolid:
-    """A painted height field."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        width, height = scene.size_mm
-        self._corner = np.array([width / 2, -height / 2, 0.0])
-        self._caster = RayCaster(scene.heights_mm, scene.spacing_mm)
-        down, right = np.gradient(scene.heights_mm.astype(np.float64), scene.spacing_mm)
-        normals = np.stack([-right, down, np.ones_like(down)], axis=-1)
-        self._normals = (normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(
-            np.float32
-        )
-
-    def look(self, origin_mm: Array, directions: Array) -> Seen:
-        """Meet rays from one point."""
-        flat = directions.reshape(-1, 3)
-        origins = np.broadcast_to(origin_mm + self._corner, flat.shape)
-        distance = self._caster.first_hit(np.ascontiguousarray(origins), flat)
-        distance[~np.isfinite(distance)] = np.nan
-        points = (origin_mm + flat * distance[:, None]).reshape(directions.shape)
-        column = ((points[..., 0] + self._corner[0]) / self.scene.spacing_mm).astype(np.float32)
-        row = ((-points[..., 1] - self._corner[1]) / self.scene.spacing_mm).astype(np.float32)
-
-        def sample(image: NDArray[np.float32]) -> Array:
-            return cv2.remap(image, column, row, cv2.INTER_LINEAR).astype(np.float64)
-
-        normals = sample(self._normals)
-        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
-        scene = self.scene
-        return Seen(
-            points, normals, sample(scene.diffuse), sample(scene.specular), sample(scene.lobe)
-        )
-
-    def lit(self, points_mm: Array, light_mm: Array) -> NDArray[np.bool_]:
-        """Tell which points see the light."""
-        flat = points_mm.reshape(-1, 3)
-        lit = np.zeros(len(flat), dtype=bool)
-        known = np.isfinite(flat[:, 0])
-        origins = flat[known] + self._corner
-        target = np.broadcast_to(light_mm + self._corner, origins.shape)
-        lit[known] = ~self._caster.occluded(
-            origins, np.ascontiguousarray(target), _SHADOW_MARGIN_MM
-        )
-        return lit.reshape(points_mm.shape[:-1])
+def open_eye(camera: Camera, samples: int) -> Eye:
+    """Prepare a camera's rays."""
+    pixels = camera.lens.pixel_grid()[:, :, None, None, :]
+    offset = (np.arange(samples) + 0.5) / samples - 0.5
+    inside = np.stack(np.meshgrid(offset, offset), axis=-1)
+    origin, directions = camera.rays((pixels + inside).reshape(-1, 2))
+    return Eye(camera, samples, origin, directions)
 
 
-class BoardSolid:
-    """A matte chessboard in the plane z = 0, its first inner corner at the origin."""
+def reflected(hits: Hits, view_mm: Array, source_mm: Array, intensity: float) -> Image:
+    """Return the radiance (N, 3) towards the viewer of a point source's light, without shadows.
 
-    def __init__(self, inner_corners: tuple[int, int], square_mm: float) -> None:
-        self.inner_corners, self.square_mm = inner_corners, square_mm
-
-    def look(self, origin_mm: Array, directions: Array) -> Seen:
-        """Meet rays from one point."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = -origin_mm[2] / directions[..., 2]
-        points = origin_mm + directions * np.where(distance > 0, distance, np.nan)[..., None]
-        u, v = points[..., 0] / self.square_mm, points[..., 1] / self.square_mm
-        columns, rows = self.inner_corners
-        on_board = (u > -2) & (u < columns + 1) & (v > -2) & (v < rows + 1)
-        in_squares = (u > -1) & (u < columns) & (v > -1) & (v < rows)
-        dark = in_squares & ((np.floor(u) + np.floor(v)) % 2 == 0)
-        points[~on_board] = np.nan
-        side = np.sign(origin_mm[2]) or 1.0
-        normals = np.broadcast_to(np.array([0.0, 0.0, side]), points.shape)
-        diffuse = np.where(dark, 0.05, 0.8)[..., None] / np.pi * np.ones(3)
-        nothing = np.zeros_like(points)
-        return Seen(points, normals, diffuse, nothing, nothing + np.array([0.0, 0.0, 1.0]))
-
-    def lit(self, points_mm: Array, light_mm: Array) -> NDArray[np.bool_]:
-        """Tell which points see the light: all on the light's side of the plane."""
-        return np.isfinite(points_mm[..., 0]) & (light_mm[2] != 0)
-
-
-def look(camera: Camera, solid: Solid, rig_from_object: RigidTransform, samples: int) -> Seen:
-    """Meet ``samples`` x ``samples`` rays per pixel, laid out on a finer grid of the same image."""
-    width, height = camera.lens.size_px
-    x, y = ((np.arange(size * samples) + 0.5) / samples - 0.5 for size in (width, height))
-    pixels = np.stack(np.meshgrid(x, y), axis=-1)
-    origin, directions = camera.rays(pixels)
-    back = rig_from_object.inverse()
-    return solid.look(back.apply(origin), back.rotate(directions))
-
-
-def reflected(seen: Seen, view_mm: Array, light_mm: Array, intensity: float) -> Array:
-    """Return the radiance (rows, columns, 3) towards the viewer of a point light, unshadowed.
-
-    f = rho_d + rho_s max(0, C_xy (v . l - v_z l_z) + C_z v_z l_z)^k with z the normal;
-    E = I cos / r^2, r in m.
+    L = f E with f = rho_d + rho_s max(0, C_xy (v_x l_x + v_y l_y) + C_z v_z l_z)^k, v and l in the
+    frame of the normal (McAllister et al. 2002), and E = I cos(theta) / r^2, r in m.
     """
-    to_light, to_eye = light_mm - seen.points_mm, view_mm - seen.points_mm
-    distance = np.linalg.norm(to_light, axis=-1)
-    to_light = to_light / distance[..., None]
-    to_eye = to_eye / np.linalg.norm(to_eye, axis=-1, keepdims=True)
-    cosine = (seen.normals * to_light).sum(axis=-1)
-    along = cosine * (seen.normals * to_eye).sum(axis=-1)
-    across = (to_light * to_eye).sum(axis=-1) - along
-    base = np.maximum(seen.lobe[..., 0] * across + seen.lobe[..., 1] * along, 0)
-    brdf = seen.diffuse + seen.specular * (base ** seen.lobe[..., 2])[..., None]
-    irradiance = intensity * np.maximum(cosine, 0) / (distance * 1e-3) ** 2
-    return np.nan_to_num(brdf * irradiance[..., None])
+    radiance = np.empty((len(hits.kind), 3), np.float32)
+    _reflect(*hits, view_mm, source_mm, intensity, radiance)
+    return radiance
 
 
-def gather(radiance: NDArray[np.floating], samples: int, spread_px: float) -> Array:
-    """Average the rays of each pixel and blur with the lens's point spread (sigma, px)."""
-    fine = radiance.astype(np.float32, copy=False)
-    fine = cv2.GaussianBlur(fine, (0, 0), max(spread_px * samples, 1e-3))
-    if samples == 1:
-        return fine.astype(np.float64)
-    rows, columns = fine.shape[0] // samples, fine.shape[1] // samples
-    return cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
+@njit(cache=True, parallel=True, error_model="numpy")
+def _reflect(points, material, kind, view, source, intensity, radiance):  # type: ignore[no-untyped-def]
+    for i in prange(len(points)):
+        radiance[i] = 0
+        if kind[i] == 0:
+            continue
+        lx, ly, lz = source[0] - points[i, 0], source[1] - points[i, 1], source[2] - points[i, 2]
+        vx, vy, vz = view[0] - points[i, 0], view[1] - points[i, 1], view[2] - points[i, 2]
+        nx, ny, nz = material[i, 0], material[i, 1], material[i, 2]
+        square = lx * lx + ly * ly + lz * lz
+        far, away = np.sqrt(square), np.sqrt(vx * vx + vy * vy + vz * vz)
+        cosine = (nx * lx + ny * ly + nz * lz) / far
+        if cosine <= 0:
+            continue
+        up = cosine * (nx * vx + ny * vy + nz * vz) / away
+        across = (lx * vx + ly * vy + lz * vz) / (far * away) - up
+        base = max(0.0, material[i, 9] * across + material[i, 10] * up)
+        lobe = base ** material[i, 11]
+        irradiance = intensity * cosine / (square * 1e-6)
+        for k in range(3):
+            radiance[i, k] = (material[i, 3 + k] + material[i, 6 + k] * lobe) * irradiance
+
+
+def see_by_lamp(eye: Eye, subject: Subject, source_mm: Array, intensity: float) -> Image:
+    """Return what each pixel receives in a lamp's light, (rows, columns, 3) radiance."""
+    hits = subject.trace(eye.origin_mm, eye.directions)
+    radiance = reflected(hits, eye.origin_mm, source_mm, intensity)
+    radiance[~subject.lit(hits.points_mm, source_mm)] = 0
+    width, height = eye.camera.lens.size_px
+    return np.asarray(radiance.reshape(height, width, -1, 3).mean(axis=2))
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What a grey camera needs to see any pattern on a subject; arrays over rays.
+
+    Parameters
+    ----------
+    place_px
+        (N, 2) float32 projector pixel that lights the ray's point.
+    light
+        (N,) float32 radiance under full intensity; 0 in shadow and beside the image.
+    dark
+        (N,) float32 radiance without any projector light.
+    """
+
+    size_px: tuple[int, int]
+    place_px: Image
+    light: Image
+    dark: Image
+
+
+def project(
+    eye: Eye, subject: Subject, projector: Camera, intensity: float, ambient: float
+) -> Projection:
+    """Work out where the projector's pixels fall and how bright they look.
+
+    Parameters
+    ----------
+    intensity
+        Of the projector's white, as of a lamp at its optical centre.
+    ambient
+        Radiance of a perfectly white matte surface in the room's light.
+    """
+    hits = subject.trace(eye.origin_mm, eye.directions)
+    source = projector.centre_mm
+    place = projector.project(hits.points_mm)
+    width, height = projector.lens.size_px
+    with np.errstate(invalid="ignore"):
+        inside = ((place > -0.5) & (place < (width - 0.5, height - 0.5))).all(axis=1)
+    light = reflected(hits, eye.origin_mm, source, intensity) @ GREY
+    light[~(inside & subject.lit(hits.points_mm, source))] = 0
+    dark = (hits.material[:, 3:6] @ GREY) * np.float32(np.pi * ambient)
+    dark[hits.kind == 0] = 0
+    return Projection(eye.camera.lens.size_px, np.nan_to_num(place).astype(np.float32), light, dark)
+
+
+def projected_image(
+    pattern: Pattern, size_px: tuple[int, int], *, gamma: float, defocus_px: float, black: float
+) -> Image:
+    """Return the light that a projector's pixels send for a pattern, (height, width), 1 = white.
+
+    The drive goes through the projector's gamma, the lens blurs the light; black is not dark.
+    """
+    width, height = size_px
+    along = getattr(pattern, "axis", "x")
+    # All but products of patterns vary along one axis at most: draw one line of them.
+    line = (width, 1) if along == "x" else (1, height)
+    drive = pattern_image(pattern, size_px if isinstance(pattern, Product) else line)
+    light = (black + (1 - black) * drive**gamma).astype(np.float32)
+    if defocus_px > 0:
+        light = cv2.GaussianBlur(light, (0, 0), defocus_px, borderType=cv2.BORDER_REPLICATE)
+    return np.ascontiguousarray(np.broadcast_to(light, (height, width)))
+
+
+def see_by_projector(projection: Projection, shown: Image | None) -> Image:
+    """Return what each pixel receives under a pattern, (rows, columns) radiance."""
+    width, height = projection.size_px
+    seen = np.empty(width * height, np.float32)
+    image = np.zeros((2, 2), np.float32) if shown is None else shown
+    _light(image, projection.place_px, projection.light, projection.dark, seen)
+    return seen.reshape(height, width)
+
+
+@njit(cache=True, parallel=True)
+def _light(image, place, light, dark, seen):  # type: ignore[no-untyped-def]
+    rows, columns = image.shape
+    samples = len(light) // len(seen)
+    for pixel in prange(len(seen)):
+        total = 0.0
+        for i in range(pixel * samples, (pixel + 1) * samples):
+            total += dark[i]
+            if light[i] > 0:
+                u = min(max(place[i, 0], 0.0), columns - 1.0)
+                v = min(max(place[i, 1], 0.0), rows - 1.0)
+                c, r = min(int(u), columns - 2), min(int(v), rows - 2)
+                a, b = u - c, v - r
+                upper = (1 - a) * image[r, c] + a * image[r, c + 1]
+                lower = (1 - a) * image[r + 1, c] + a * image[r + 1, c + 1]
+                total += light[i] * ((1 - b) * upper + b * lower)
+        seen[pixel] = total / samples
+
+
+def spread(radiance: Image, sigma_px: float) -> Image:
+    """Blur with the camera lens's point spread."""
+    if sigma_px <= 0:
+        return radiance
+    return np.asarray(cv2.GaussianBlur(radiance, (0, 0), sigma_px), dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Shot noise, read noise, saturation and rounding of a sensor."""
+    """Shot noise, read noise, saturation and rounding.
 
+    Parameters
+    ----------
+    responsivity_per_s
+        Share of the full well per unit of radiance and second.
+    bits
+        Of the converter; values are stored shifted up to 16 bits, the largest as 65535.
+    """
+
+    responsivity_per_s: float = 40.0
     full_well_e: float = 15000.0
     read_noise_e: float = 4.0
     bits: int = 12
-    responsivity_per_s: float = 40.0
 
     def record(
-        self, radiance: Array, exposure_s: float, random: np.random.Generator, stored_bits: int
-    ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Turn radiance into a stored image."""
-        electrons = radiance * (exposure_s * self.responsivity_per_s * self.full_well_e)
-        noise = random.standard_normal(electrons.shape, dtype=np.float32)
-        electrons = electrons + noise * np.sqrt(np.maximum(electrons, 0) + self.read_noise_e**2)
-        levels = 2 ** min(self.bits, stored_bits) - 1
-        value = np.clip(np.rint(electrons / self.full_well_e * levels), 0, levels)
-        kind = np.uint8 if stored_bits == 8 else np.uint16
-        return np.rint(value * ((2**stored_bits - 1) / levels)).astype(kind)
+        self, radiance: Image, exposure_s: float, random: np.random.Generator | None
+    ) -> NDArray[np.uint16]:
+        """Turn radiance into a stored image; without ``random``, an ideal one."""
+        electrons = radiance * np.float32(exposure_s * self.responsivity_per_s * self.full_well_e)
+        levels = 65535
+        if random is not None:
+            noise = random.standard_normal(electrons.shape, dtype=np.float32)
+            electrons += noise * np.sqrt(electrons + np.float32(self.read_noise_e**2))
+            levels = 2**self.bits - 1
+        value = np.rint(np.clip(electrons / np.float32(self.full_well_e), 0, 1) * levels)
+        return np.asarray(np.rint(value * np.float32(65535 / levels)), dtype=np.uint16)

@@ -1,186 +1,257 @@
-"""The simulated rig: cameras, projector, turntable and lamp arc around one object, with truth."""
+"""The simulated rig: devices that share one scene, one clock and one source of noise."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.simulated.optics import Seen, Sensor, Solid, gather, look, reflected
-from pipeline.formats.patterns import Pattern, pattern_image
-from pipeline.geometry.camera import Camera, Lens
-from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
+from hardware.devices import Frame, Rig
+from hardware.simulated.layout import SCAN_CAMERA, Layout
+from hardware.simulated.optics import (
+    Eye,
+    Image,
+    Projection,
+    Sensor,
+    open_eye,
+    project,
+    projected_image,
+    see_by_lamp,
+    see_by_projector,
+    spread,
+)
+from hardware.simulated.subjects import Subject
+from pipeline.errors import HardwareError
+from pipeline.formats.patterns import Pattern
 
-Array = NDArray[np.float64]
-Grey = NDArray[np.float32]
-
-GREY = np.array([0.25, 0.5, 0.25])
-"""A Bayer sensor's mean of R, G, G and B."""
-
-PROJECTOR_INTENSITY, LAMP_INTENSITY = 2.0, 3.0
-AMBIENT = 0.004
-"""Radiance of a white surface in the room's light, patterns only."""
-
-_PROJECTOR_SPREAD_PX, _CAMERA_SPREAD_PX = 0.5, 0.4
+LAMP_SETTLES_S, PROJECTOR_SETTLES_S, OPERATOR_TAKES_S = 0.5, 0.1, 20.0
+TABLE_DEG_PER_S, CARRIAGE_MM_PER_S = 20.0, 150.0
 
 
-class Bench:
-    """What stands around the object, and the object itself; the devices share it.
+@dataclass(frozen=True)
+class Physics:
+    """What makes pictures differ from the ideal.
 
     Parameters
     ----------
-    cameras
-        By name, in the rig's frame.
-    projector
-        An inverse camera in the rig's frame.
-    lamps
-        Position of each stop, mm, the rig's frame.
+    projector_intensity, lamp_intensity
+        E = intensity cos / (r in m)^2.
+    ambient
+        Radiance of a white surface in the room's light; photographs are taken in the dark.
+    gamma, black
+        Of the projector: light = black + (1 - black) drive^gamma.
+    defocus_px, spread_px
+        Standard deviations of the projector's and the cameras' point spread, in their pixels.
+    samples
+        Rays per pixel along each axis.
+    """
+
+    projector_intensity: float = 1.0
+    lamp_intensity: float = 1.0
+    ambient: float = 0.003
+    gamma: float = 1.0
+    black: float = 0.002
+    defocus_px: float = 0.5
+    spread_px: float = 0.4
+    samples: int = 2
+    sensor: Sensor = field(default_factory=Sensor)
+
+
+class Bench:
+    """The scene that the devices share: what lies there, how it is lit, and what time it is.
+
+    Parameters
+    ----------
+    subjects
+        Makes a subject at an angle of the table, by the name that the operator knows.
     seed
-        Of the sensors' noise.
+        Of the sensors' noise: frame n is the same whatever is done at the same time.
     """
 
     def __init__(
-        self, cameras: dict[str, Camera], projector: Camera, lamps: dict[str, Array], seed: int
+        self,
+        layout: Layout,
+        subjects: dict[str, Callable[[float], Subject]],
+        physics: Physics,
+        seed: int,
     ) -> None:
-        self.cameras, self.projector, self.lamps = cameras, projector, lamps
-        self.random = np.random.default_rng(seed)
-        self.sensor = Sensor()
+        self.layout, self.physics, self.subjects = layout, physics, subjects
+        self.clock_s = 0.0
         self.angle_deg = 0.0
-        self.lamp: str | None = None
-        self.shown: Grey | None = None
-        self._placed: tuple[Solid, RigidTransform] | None = None
-        # Of the last camera and angle only: a capture goes through them one after another.
-        self._shading: dict[tuple[str, float, int], tuple[Grey, Grey, NDArray[np.float32]]] = {}
+        self.stop: str | None = None
+        self.lamp_on = False
+        self.pattern: Pattern | None = None
+        self.placed: str | None = None
+        self._seed, self._frames = seed, 0
+        self._eyes: dict[str, Eye] = {}
+        # The last of each only: a capture goes through states one after another.
+        self._subject: tuple[object, Subject] | None = None
+        self._projection: tuple[object, Projection] | None = None
+        self._radiance: tuple[object, Image] | None = None
 
-    def place(self, solid: Solid, rig_from_object: RigidTransform) -> None:
-        """Put an object on the table as it stands at angle 0."""
-        self._placed = solid, rig_from_object
-        self._shading.clear()
-
-    @property
-    def object_pose(self) -> tuple[Solid, RigidTransform]:
-        """The object and where the table has turned it."""
-        if self._placed is None:
-            raise RuntimeError("nothing lies on the table")
-        solid, pose = self._placed
-        turn = rotation_about_axis(np.zeros(3), np.array([0.0, 0.0, 1.0]), self.angle_deg)
-        return solid, turn @ pose
-
-    def photograph(self, name: str, samples: int) -> Array:
-        """Return what a camera's rays see in the lamp's light, (rows, columns, 3) radiance."""
-        if self.lamp is None:
-            raise RuntimeError("the lamp is off")
-        seen, view, back, solid = self._look(name, samples)
-        light = back.apply(self.lamps[self.lamp])
-        shining = reflected(seen, view, light, LAMP_INTENSITY)
-        return np.asarray(shining * solid.lit(seen.points_mm, light)[..., None])
-
-    def under_pattern(self, name: str, samples: int) -> Grey:
-        """Return what a grey camera's rays see in the projector's light, (rows, columns)."""
-        key = (name, self.angle_deg, samples)
-        if key not in self._shading:
-            self._shading = {key: self._projected(name, samples)}
-        ambient, shading, place = self._shading[key]
-        if self.shown is None:
-            return ambient
-        pattern = cv2.remap(self.shown, place, None, cv2.INTER_LINEAR)
-        return np.asarray(ambient + shading * pattern, dtype=np.float32)
-
-    def _look(self, name: str, samples: int) -> tuple[Seen, Array, RigidTransform, Solid]:
-        solid, pose = self.object_pose
-        seen = look(self.cameras[name], solid, pose, samples)
-        back = pose.inverse()
-        return seen, back.apply(self.cameras[name].centre_mm), back, solid
-
-    def _projected(self, name: str, samples: int) -> tuple[Grey, Grey, NDArray[np.float32]]:
-        """Return ambient light, light under full projection, and each ray's projector pixel."""
-        seen, view, back, solid = self._look(name, samples)
-        light = back.apply(self.projector.centre_mm)
-        shading = reflected(seen, view, light, PROJECTOR_INTENSITY) @ GREY
-        place = self.projector.project(back.inverse().apply(seen.points_mm))
-        width, height = self.projector.lens.size_px
-        reached = (place > -0.5).all(axis=-1) & (place < (width - 0.5, height - 0.5)).all(axis=-1)
-        shading *= reached & solid.lit(seen.points_mm, light)
-        ambient = np.nan_to_num(seen.diffuse @ GREY * np.isfinite(seen.points_mm[..., 0]))
-        return (
-            (ambient * (AMBIENT * np.pi)).astype(np.float32),
-            shading.astype(np.float32),
-            np.nan_to_num(place, nan=-1e6).astype(np.float32),
+    def rig(self) -> Rig:
+        """Return the devices."""
+        return Rig(
+            {name: SimulatedCamera(self, name) for name in self.layout.cameras},
+            SimulatedProjector(self),
+            SimulatedTurntable(self),
+            SimulatedArc(self),
+            SimulatedLamp(self),
+            SimulatedOperator(self),
         )
+
+    def eye(self, name: str) -> Eye:
+        """Return a camera's rays."""
+        if name not in self._eyes:
+            self._eyes[name] = open_eye(self.layout.cameras[name], self.physics.samples)
+        return self._eyes[name]
+
+    def subject(self) -> Subject:
+        """Return what lies there now."""
+        if self.placed is None:
+            raise HardwareError("nothing lies before the cameras", fix="place a subject first")
+        key = (self.placed, self.angle_deg)
+        if self._subject is None or self._subject[0] != key:
+            self._subject = key, self.subjects[self.placed](self.angle_deg)
+        return self._subject[1]
+
+    def radiance(self, camera: str) -> Image:
+        """Return what a camera's pixels receive now."""
+        state = (camera, self.placed, self.angle_deg)
+        key = (*state, self.stop if self.lamp_on else None, self.pattern)
+        if self._radiance is None or self._radiance[0] != key:
+            ideal = self._by_pattern(state) if camera == SCAN_CAMERA else self._by_lamp(camera)
+            self._radiance = key, spread(ideal, self.physics.spread_px)
+        return self._radiance[1]
+
+    def noise(self) -> np.random.Generator:
+        """Return the next frame's noise."""
+        self._frames += 1
+        return np.random.default_rng([self._seed, self._frames])
+
+    def _by_lamp(self, camera: str) -> Image:
+        if not self.lamp_on or self.stop is None:
+            width, height = self.layout.cameras[camera].lens.size_px
+            return np.zeros((height, width, 3), np.float32)
+        source = self.layout.stops[self.stop]
+        return see_by_lamp(self.eye(camera), self.subject(), source, self.physics.lamp_intensity)
+
+    def _by_pattern(self, state: tuple[str, str | None, float]) -> Image:
+        """See a pattern; geometry is worked out once for all patterns of a state."""
+        physics, projector = self.physics, self.layout.projector
+        if self.lamp_on:
+            raise HardwareError("the lamp outshines the projector", fix="switch the lamp off")
+        if self._projection is None or self._projection[0] != state:
+            self._projection = (
+                state,
+                project(
+                    self.eye(state[0]),
+                    self.subject(),
+                    projector,
+                    physics.projector_intensity,
+                    physics.ambient,
+                ),
+            )
+        shown = None
+        if self.pattern is not None:
+            shown = projected_image(
+                self.pattern,
+                projector.lens.size_px,
+                gamma=physics.gamma,
+                defocus_px=physics.defocus_px,
+                black=physics.black,
+            )
+        return see_by_projector(self._projection[1], shown)
+
+
+class SimulatedCamera:
+    """Records what its rays see: the scan camera in grey, the photo camera in colour."""
+
+    def __init__(self, bench: Bench, name: str) -> None:
+        self._bench, self._name = bench, name
+
+    def capture(self, exposure_s: float) -> Frame:
+        """Take one frame."""
+        bench = self._bench
+        if not 1e-6 <= exposure_s <= 60:
+            raise HardwareError(
+                f"the camera cannot expose for {exposure_s:g} s", expected="1e-6 s to 60 s"
+            )
+        bench.clock_s += exposure_s
+        radiance = bench.radiance(self._name)
+        return Frame(bench.physics.sensor.record(radiance, exposure_s, bench.noise()), exposure_s)
 
 
 class SimulatedProjector:
-    """Shows patterns with its lens's defocus."""
+    """Shows patterns with its gamma and its lens's defocus."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
 
     def show(self, pattern: Pattern | None) -> None:
         """Show a pattern, or nothing."""
-        if pattern is None:
-            self._bench.shown = None
-            return
-        self._bench.shown = _defocused(pattern, self._bench.projector.lens.size_px)
-
-
-@lru_cache(maxsize=64)
-def _defocused(pattern: Pattern, size_px: tuple[int, int]) -> Grey:
-    image = pattern_image(pattern, size_px).astype(np.float32)
-    border = cv2.BORDER_REPLICATE
-    blurred = cv2.GaussianBlur(image, (0, 0), _PROJECTOR_SPREAD_PX, borderType=border)
-    return np.asarray(blurred, dtype=np.float32)
+        self._bench.clock_s += PROJECTOR_SETTLES_S
+        self._bench.pattern = pattern
 
 
 class SimulatedTurntable:
-    """Turns the object."""
+    """Turns the painting."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
 
-    def turn_to(self, angle_deg: float) -> None:
+    def move_to(self, angle_deg: float) -> None:
         """Turn to an angle."""
+        self._bench.clock_s += abs(angle_deg - self._bench.angle_deg) / TABLE_DEG_PER_S
         self._bench.angle_deg = angle_deg
 
 
-class SimulatedLampArc:
-    """Lights the object from its stops."""
+class SimulatedArc:
+    """Carries the lamp from stop to stop."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
 
-    def light_from(self, stop: str | None) -> None:
-        """Move to a stop and switch on; None switches off."""
-        if stop is not None and stop not in self._bench.lamps:
-            raise ValueError(f"no lamp stop {stop!r}; there are {sorted(self._bench.lamps)}")
-        self._bench.lamp = stop
+    def move_to(self, stop: str) -> None:
+        """Move to a stop."""
+        bench, stops = self._bench, self._bench.layout.stops
+        if stop not in stops:
+            raise HardwareError(
+                f"the arc has no stop {stop!r}", expected=f"one of {', '.join(sorted(stops))}"
+            )
+        way: NDArray[np.float64] = stops[stop] - stops[bench.stop or min(stops)]
+        bench.clock_s += float(np.linalg.norm(way)) / CARRIAGE_MM_PER_S
+        bench.stop = stop
 
 
-class SimulatedCamera:
-    """Records what its rays see; grey 8 bits for patterns, or RGB 16 bits for photographs."""
+class SimulatedLamp:
+    """Lights the subject from the carriage."""
 
-    def __init__(
-        self, bench: Bench, name: str, *, colour: bool, stored_bits: int, samples: int = 2
-    ) -> None:
-        self._bench, self._name = bench, name
-        self._colour, self._bits, self._samples = colour, stored_bits, samples
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
 
-    def expose(self, exposure_s: float) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Take one frame."""
-        see = self._bench.photograph if self._colour else self._bench.under_pattern
-        radiance = see(self._name, self._samples)
-        light = gather(radiance, self._samples, _CAMERA_SPREAD_PX)
-        return self._bench.sensor.record(light, exposure_s, self._bench.random, self._bits)
+    def switch(self, on: bool) -> None:
+        """Switch on or off."""
+        if on != self._bench.lamp_on:
+            self._bench.clock_s += LAMP_SETTLES_S
+        self._bench.lamp_on = on
 
 
-def standing_at(position_mm: Array, towards_mm: Array, lens: Lens) -> Camera:
-    """Stand a camera somewhere, looking at a point, the rig's +y up in the picture."""
-    forward = towards_mm - position_mm
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, np.array([0.0, 1.0, 0.0]))
-    if np.linalg.norm(right) < 1e-6:
-        right = np.array([1.0, 0.0, 0.0])
-    right = right / np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera(lens, RigidTransform(rotation, -rotation @ position_mm))
+class SimulatedOperator:
+    """Puts things in place without a word."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+
+    def place(self, what: str) -> None:
+        """Put something in place."""
+        bench = self._bench
+        if what not in bench.subjects:
+            raise HardwareError(
+                f"there is no {what!r}", expected=f"one of {', '.join(sorted(bench.subjects))}"
+            )
+        if what != bench.placed:
+            bench.clock_s += OPERATOR_TAKES_S
+        bench.placed = what

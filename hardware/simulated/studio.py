@@ -1,214 +1,223 @@
-"""A whole simulated capture: the rig is set up, boards, scan and photographs are recorded."""
+"""A whole simulated capture: boards, scan and photographs into a bundle, the truth beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hardware.acquisition import Acquisition, PatternPlan
-from hardware.simulated.optics import BoardSolid, PaintingSolid
+from hardware.acquisition import Coding, PhotoPlan, Progress, SequencePlan, acquire, coded
+from hardware.simulated.layout import BOARD, SCAN_CAMERA, Layout, lay_out
 from hardware.simulated.painting import paint
-from hardware.simulated.rig import (
-    LAMP_INTENSITY,
-    Bench,
-    SimulatedCamera,
-    SimulatedLampArc,
-    SimulatedProjector,
-    SimulatedTurntable,
-    standing_at,
+from hardware.simulated.rig import Bench, Physics
+from hardware.simulated.subjects import (
+    BoardInAir,
+    PaintedCanvas,
+    PaintingOnTable,
+    Subject,
 )
 from hardware.simulated.truth import write_truth
 from pipeline.formats.bundle_writer import BundleWriter
+from pipeline.formats.patterns import Pattern
 from pipeline.geometry.camera import Camera, Lens
-from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
 
-Array = NDArray[np.float64]
+VERSION = 1
+"""Of everything that decides a capture's bytes, together with its setting."""
 
-CORNERS, SQUARE_MM = (9, 6), 13.0
-LAMP_RADIUS_MM = 700.0
+PAINTING = "painting"
+ANGLES = 8
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How large and how long a capture is."""
+    """How large and how long a capture is.
+
+    Parameters
+    ----------
+    spacing_mm
+        Of the painting's own grid.
+    boards
+        Board poses; with 0, cameras and projector are given instead of calibrated.
+    patterns
+        Of the scan.
+    exposures
+        Of the scan, relative to the metered one.
+    tests
+        Noise-free photographs from other places, among the truth.
+    """
 
     seed: int = 1
     scan_px: tuple[int, int] = (640, 480)
-    photo_px: tuple[int, int] = (384, 288)
+    photo_px: tuple[int, int] = (480, 360)
     projector_px: tuple[int, int] = (1024, 768)
-    spacing_mm: float = 0.25
-    boards: int = 6
-    photos: int = 30
-    exposures_s: tuple[float, ...] = (0.012, 0.05)
-    steps: int = 5
+    spacing_mm: float = 0.2
+    boards: int = 8
+    photos: int = 32
+    patterns: tuple[Pattern, ...] = coded(
+        Coding("x", bits=7, cell_px=8, periods_px=(16,), steps=5),
+        Coding("y", bits=7, cell_px=8, periods_px=(16,), steps=5),
+    )
+    exposures: tuple[float, ...] = (1.0, 4.0)
     stored_bits: int = 16
+    tests: int = 3
+    physics: Physics = field(default_factory=Physics)
 
 
-def lens(size_px: tuple[int, int], field_deg: float, distortion: tuple[float, ...]) -> Lens:
-    """Return a lens of a horizontal field of view, its centre a little off."""
-    width, height = size_px
-    focal = width / (2 * np.tan(np.deg2rad(field_deg) / 2))
-    K = np.array(
-        [[focal, 0, 0.507 * (width - 1)], [0, focal * 1.001, 0.492 * (height - 1)], [0, 0, 1.0]]
-    )
-    return Lens(size_px, K, np.array(distortion))
+def record(setting: Setting, bundle_folder: Path, truth_folder: Path, progress: Progress) -> None:
+    """Record a painting into a new bundle, and its truth into a folder of its own.
 
-
-def make_bench(setting: Setting) -> Bench:
-    """Stand the devices around the table."""
-    centre = np.array([0.0, 0.0, 8.0])
-    photo_lens = lens(setting.photo_px, 19.0, (-0.06, 0.05, 0.0003, -0.0004, 0.0))
-    cameras = {
-        "C0": standing_at(
-            np.array([20.0, -30.0, 900.0]),
-            centre,
-            lens(setting.scan_px, 14.5, (-0.1, 0.12, 0.0004, -0.0003, 0.0)),
-        )
-    }
-    places = ((150.0, -420.0, 640.0), (-330.0, -250.0, 660.0), (260.0, 120.0, 730.0))
-    for number, place in enumerate(places, start=1):
-        cameras[f"C{number}"] = standing_at(np.array(place), centre, photo_lens)
-    projector = standing_at(
-        np.array([-290.0, 40.0, 880.0]),
-        centre,
-        lens(setting.projector_px, 17.0, (0.04, -0.05, 0.0002, 0.0003, 0.0)),
-    )
-    lamps = {}
-    for number, elevation in enumerate((18.0, 40.0, 62.0, 84.0, 125.0)):
-        angle = np.deg2rad(elevation)
-        direction = np.array([0.1, np.cos(angle), np.sin(angle)])
-        lamps[f"L{number}"] = LAMP_RADIUS_MM * direction
-    return Bench(cameras, projector, lamps, setting.seed)
-
-
-def board_poses(count: int) -> list[RigidTransform]:
-    """Hold the board in different places, tilted differently, above the table."""
-    columns, rows = CORNERS
-    to_middle = RigidTransform(np.eye(3), -SQUARE_MM / 2 * np.array([columns - 1, rows - 1, 0.0]))
-    poses = []
-    for number in range(count):
-        around, tilt = 2.4 * number, (0.0, 22.0, 32.0, 27.0)[number % 4]
-        axis = np.array([np.cos(around), np.sin(around), 0.0])
-        turned = rotation_about_axis(np.zeros(3), axis, tilt)
-        spun = rotation_about_axis(np.zeros(3), np.array([0.0, 0.0, 1.0]), 17.0 * number - 40)
-        place = np.array(
-            [18 * np.cos(3 * around), 14 * np.sin(2 * around), 20.0 + 12 * (number % 3)]
-        )
-        poses.append(RigidTransform(np.eye(3), place) @ turned @ spun @ to_middle)
-    return poses
-
-
-def record(
-    setting: Setting,
-    bundle_folder: Path,
-    truth_folder: Path,
-    progress: Callable[[str, int, int], None],
-) -> None:
-    """Record a painting into a new bundle, and its truth into a folder of its own."""
-    bench, scene = make_bench(setting), paint(setting.seed, setting.spacing_mm)
-    rig_from_object = RigidTransform(np.eye(3), np.array([3.0, -2.0, 0.0])) @ rotation_about_axis(
-        np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.5
-    )
-    solid = PaintingSolid(scene)
+    Raises
+    ------
+    ImpastoError
+        The bundle's folder holds a bundle already, or cannot be written to.
+    """
     writer = BundleWriter(bundle_folder)
-    acquisition = Acquisition(
-        writer, SimulatedProjector(bench), SimulatedTurntable(bench), SimulatedLampArc(bench)
+    progress("painting", 0, 1)
+    canvas = PaintedCanvas(paint(setting.seed, setting.spacing_mm))
+    layout = lay_out(setting.scan_px, setting.photo_px, setting.projector_px, setting.boards)
+    bench = Bench(layout, subjects(layout, canvas), setting.physics, setting.seed)
+    taken = acquire(
+        bench.rig(),
+        writer,
+        [*board_plans(setting), scan_plan(setting)],
+        photo_plans(setting, layout),
+        progress,
     )
-    _record_boards(setting, bench, acquisition, progress)
-    bench.place(solid, rig_from_object)
-    progress("scan", 0, 1)
-    acquisition.sequence(
-        SimulatedCamera(bench, "C0", colour=False, stored_bits=setting.stored_bits),
-        pattern_plan(setting, period_px=16, inverted=True).patterns(),
-        setting.exposures_s,
-        name="front",
-        purpose="scan",
-        camera_name="C0",
-    )
-    stops = sorted(bench.lamps)
-    for number in range(setting.photos):
-        progress("photographs", number, setting.photos)
-        name = f"C{1 + number % 3}"
-        acquisition.photograph(
-            SimulatedCamera(bench, name, colour=True, stored_bits=16, samples=1),
-            camera_name=name,
-            stop=stops[number % len(stops)],
-            turntable_deg=round(360.0 * (number * 7 % max(setting.photos, 1)) / setting.photos, 3),
-            exposure_s=0.064,
-        )
-    write_truth(truth_folder, bench, scene, solid, rig_from_object)
-    writer.close(_document(setting, bench, acquisition))
+    progress("truth", 0, 1)
+    write_truth(truth_folder, layout, canvas, setting.physics, setting.seed, setting.tests)
+    writer.close(describe(setting, layout) | taken)
 
 
-def pattern_plan(setting: Setting, *, period_px: int, inverted: bool) -> PatternPlan:
-    """Plan both axes: Gray code in cells of half a period, and phase."""
-    cell = period_px // 2
-    width, height = setting.projector_px
-    return PatternPlan(
-        periods_px={"x": period_px, "y": period_px},
-        cells_px={"x": cell, "y": cell},
-        bits={"x": int(np.ceil(np.log2(width / cell))), "y": int(np.ceil(np.log2(height / cell)))},
-        steps=setting.steps,
-        inverted=inverted,
+def subjects(layout: Layout, canvas: PaintedCanvas) -> dict[str, Callable[[float], Subject]]:
+    """Return what can be put before the cameras."""
+    camera = layout.cameras[SCAN_CAMERA]
+
+    def painting(angle_deg: float) -> Subject:
+        return PaintingOnTable(canvas, layout.turned(angle_deg))
+
+    def board(name: str, _: float) -> Subject:
+        pose = layout.boards[name]
+        # What one of 2 x 2 rays covers.
+        grain = float(camera.depth(pose.translation_mm)) / camera.lens.K[0, 0] / 2
+        return BoardInAir(BOARD, pose, grain)
+
+    made: dict[str, Callable[[float], Subject]] = {PAINTING: painting}
+    return made | {name: partial(board, name) for name in layout.boards}
+
+
+def scan_plan(setting: Setting) -> SequencePlan:
+    """Plan the scan."""
+    return SequencePlan(
+        "front",
+        "scan",
+        SCAN_CAMERA,
+        setting.patterns,
+        PAINTING,
+        setting.exposures,
+        8 if setting.stored_bits == 8 else 16,
     )
 
 
-def _record_boards(
-    setting: Setting,
-    bench: Bench,
-    acquisition: Acquisition,
-    progress: Callable[[str, int, int], None],
-) -> None:
-    board = BoardSolid(CORNERS, SQUARE_MM)
-    patterns = pattern_plan(setting, period_px=32, inverted=False).patterns()
-    for number, pose in enumerate(board_poses(setting.boards)):
-        progress("boards", number, setting.boards)
-        bench.place(board, pose)
-        acquisition.sequence(
-            SimulatedCamera(bench, "C0", colour=False, stored_bits=8),
+def board_plans(setting: Setting) -> list[SequencePlan]:
+    """Plan the board poses: coarser patterns, and 8 bits are enough."""
+    bits = [int(np.ceil(np.log2(size / 16))) for size in setting.projector_px]
+    patterns = coded(
+        Coding("x", bits=bits[0], cell_px=16, periods_px=(32,), steps=4),
+        Coding("y", bits=bits[1], cell_px=16, periods_px=(32,), steps=4),
+    )
+    return [
+        SequencePlan(
+            f"board-{number}",
+            "calibrate",
+            SCAN_CAMERA,
             patterns,
-            setting.exposures_s[:1],
-            name=f"board-{number}",
-            purpose="calibrate",
-            camera_name="C0",
-            board="main",
+            f"board-{number}",
+            stored_bits=8,
+            keys={"board": "main"},
         )
+        for number in range(setting.boards)
+    ]
 
 
-def _document(setting: Setting, bench: Bench, acquisition: Acquisition) -> dict[str, Any]:
-    def entry(camera: Camera) -> dict[str, Any]:
-        return {
-            "size_px": list(camera.lens.size_px),
-            "K": camera.lens.K.tolist(),
-            "distortion": camera.lens.distortion.tolist(),
-            "R": camera.pose.rotation.tolist(),
-            "t_mm": camera.pose.translation_mm.tolist(),
-            "responsivity_per_s": bench.sensor.responsivity_per_s,
-            "full_well_e": bench.sensor.full_well_e,
-            "read_noise_e": bench.sensor.read_noise_e,
-            "bits": bench.sensor.bits,
-        }
+def photo_plans(setting: Setting, layout: Layout) -> list[PhotoPlan]:
+    """Plan the photographs: all pairs of station and stop in turn, at eight angles of the table."""
+    stops = sorted(layout.stops)
+    stations = sorted(name for name in layout.cameras if name != SCAN_CAMERA)
+    plans = [
+        PhotoPlan(
+            stations[(i + i // len(stops)) % len(stations)],
+            stops[i % len(stops)],
+            360.0 / ANGLES * ((3 * i + i // ANGLES) % ANGLES),
+            PAINTING,
+        )
+        for i in range(setting.photos)
+    ]
+    return sorted(plans, key=lambda plan: (plan.turntable_deg, plan.camera, plan.stop))
 
-    return {
+
+def describe(setting: Setting, layout: Layout) -> dict[str, Any]:
+    """Return the document but for what was taken.
+
+    The stations, the lamp's stops and the table are given, as a rig knows them that was measured
+    once. Of the scan camera and the projector only the camera's pose is given where board
+    sequences are there to calibrate them.
+    """
+    sensor = setting.physics.sensor
+    body = {
+        "responsivity_per_s": sensor.responsivity_per_s,
+        "full_well_e": sensor.full_well_e,
+        "read_noise_e": sensor.read_noise_e,
+        "bits": sensor.bits,
+    }
+    cameras: dict[str, Any] = {}
+    for name, camera in layout.cameras.items():
+        entry: dict[str, Any] = {"size_px": list(camera.lens.size_px)}
+        if name == "C1" or (name == SCAN_CAMERA and not setting.boards):
+            entry |= lens_entry(camera.lens)
+        elif name != SCAN_CAMERA:
+            entry["lens_of"] = "C1"
+        cameras[name] = entry | pose_entry(camera) | body
+    projector: dict[str, Any] = {"size_px": list(setting.projector_px), "camera": SCAN_CAMERA}
+    if not setting.boards:
+        from_camera = layout.projector.pose @ layout.cameras[SCAN_CAMERA].pose.inverse()
+        projector |= lens_entry(layout.projector.lens)
+        projector |= pose_entry(replace(layout.projector, pose=from_camera))
+    document: dict[str, Any] = {
         "format": "impasto-capture",
         "version": 1,
-        "name": f"simulated painting {setting.seed}",
+        "name": f"simulated-{setting.seed}",
         "encoding": "linear",
-        "cameras": {name: entry(camera) for name, camera in bench.cameras.items()},
-        "projector": {"size_px": list(setting.projector_px), "camera": "C0"},
-        "boards": {
-            "main": {"type": "chessboard", "inner_corners": list(CORNERS), "square_mm": SQUARE_MM}
-        },
-        "sequences": acquisition.sequences,
-        "photos": acquisition.photos,
+        "cameras": cameras,
+        "projector": projector,
         "lights": {
-            name: {"position_mm": place.tolist(), "intensity": LAMP_INTENSITY}
-            for name, place in bench.lamps.items()
+            name: {"position_mm": place.tolist(), "intensity": setting.physics.lamp_intensity}
+            for name, place in layout.stops.items()
         },
         "turntable": {"axis_point_mm": [0.0, 0.0, 0.0], "axis_direction": [0.0, 0.0, 1.0]},
+    }
+    if setting.boards:
+        document["boards"] = {
+            "main": {
+                "type": "chessboard",
+                "inner_corners": list(BOARD.inner_corners),
+                "square_mm": BOARD.square_mm,
+            }
+        }
+    return document
+
+
+def lens_entry(lens: Lens) -> dict[str, Any]:
+    """Return a lens as the document has it."""
+    return {"K": lens.K.tolist(), "distortion": lens.distortion.tolist()}
+
+
+def pose_entry(camera: Camera) -> dict[str, Any]:
+    """Return a pose as the document has it."""
+    return {
+        "R": camera.pose.rotation.tolist(),
+        "t_mm": camera.pose.translation_mm.tolist(),
     }
