@@ -22,8 +22,9 @@ _SETTLED_DEG = 0.25
 _COARSE_PIXELS = 300_000
 _MARGIN = 0.1  # of the region's extent
 _CENTRE_WIDTH = 0.2  # of the picture's smaller side
-_CENTRAL = 0.15  # share of the measured pixels taken for canvas before anything is known
+_CENTRAL = 0.3  # share of the measured pixels taken for canvas before anything is known
 _FEWEST = 100
+_LEAST_FACING = 0.1  # cosine between the normal and the line of sight
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def find_canvas(
     Raises
     ------
     ImpastoError
-        If there is no surface in the middle of the picture.
+        If there is no surface in the middle of the picture, or it is seen edge-on.
 
     Notes
     -----
@@ -122,11 +123,18 @@ def _settle(
     for _ in range(_ROUNDS):
         canvas = canvas_axes(plane, camera).inverse().apply(points)
         region = grow(canvas, sigma, near, weight, erosion_px)
-        near, weight = region.mask, region.mask.astype(np.float64)
-        previous = plane
-        plane = facing(fit_plane(points[near], weight[near]), camera.centre_mm)
+        near, previous = region.mask, plane
+        plane = facing(fit_plane(points[near], np.ones(near.sum())), camera.centre_mm)
         if plane.normal @ previous.normal > np.cos(np.deg2rad(_SETTLED_DEG)):
             break
+    sight = plane.centre_mm - camera.centre_mm
+    if abs(plane.normal @ sight) < _LEAST_FACING * np.linalg.norm(sight):
+        raise ImpastoError(
+            "the points scatter along the lines of sight, not over a surface",
+            where="scan/range.exr",
+            expected="a surface that faces the scan camera",
+            fix="look at the range map (impasto report), the calibration and the exposures",
+        )
     return canvas_axes(plane, camera), region
 
 
@@ -161,8 +169,8 @@ def ray_factor(
 
     Notes
     -----
-    A point moved by s d rises by s d_z, and lands where the surface is s g . (d_x, d_y) higher, with
-    g its gradient: the height at a place changes by d_z - g . (d_x, d_y).
+    A point moved by s d rises by s d_z, and lands where the surface is s g . (d_x, d_y) higher
+    (g its gradient): the height at a place changes by d_z - g . (d_x, d_y).
     """
     slope = np.zeros((2, *heights_mm.shape))  # down, right
     if min(heights_mm.shape) > 1:

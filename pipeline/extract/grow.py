@@ -23,12 +23,16 @@ Mask = NDArray[np.bool_]
 STEEPEST_FLAT, STEEPEST_DEEP = 0.8, 3.5
 """Range of the slope (rise over run) that ends the canvas; see :func:`steepest_slope`."""
 
-_TIMES_TYPICAL, _TIMES_RARE = 6.0, 2.0
+_TIMES_TYPICAL = 6.0
+_MOST_SMOOTHING_PX = 6.0  # noise of some twenty sample distances: no surface can be told
 _LINK_SIGMAS = 4.0
 _ISLAND_RISE = 0.015  # of the region's side
 _NOTCH = 0.04  # of the region's side
 _ISLAND_SHARE = 0.8  # of an island's pixels
-_BRIDGE_PX = 5.0
+_BRIDGE_PX, _BRIDGE = 8.0, 0.06  # at least, and of the surface's side
+_CONTACT_PX = 2.0
+_GENTLE = 0.25
+_OWN_RELIEF = 0.15
 _LEAST_PART = 1e-4  # of the region's pixels
 _FEWEST_INSIDE = 3
 _RIM_SIGMAS = 2.5
@@ -98,6 +102,8 @@ def grow(
         raise _nothing()
     limit = steepest_slope(canvas, valid, near & valid, sampling)
     smoothing = smoothing_for(sampling, limit)
+    if smoothing > _MOST_SMOOTHING_PX:
+        raise _nothing()
     bridged, known = bridge(canvas, valid)
     broken = _broken(slopes(bridged, known, sampling, smoothing), limit, sampling, smoothing)
     rough = _ends(broken, known.shape)
@@ -125,19 +131,17 @@ def grow(
 def steepest_slope(canvas: Array, valid: Mask, near: Mask, sampling: Sampling) -> float:
     """Return the slope that ends the surface.
 
-    Six times the typical (median) one, or twice the 98th percentile if the paint has many steep
-    strokes, measured on heights so smooth that noise adds little: a flat canvas ends at the
-    frame's foot, a deep relief goes on over its own walls.
+    Six times the typical (median) one, measured on heights so smooth that noise adds little: a
+    flat canvas ends at the frame's foot, a deep relief goes on over its own walls. Steep strokes
+    do not raise it: they are islands, notches or cuts, and are mended as such.
     """
     across, down = slopes(canvas, valid, sampling, smoothing_for(sampling, STEEPEST_FLAT))
     steep = np.hypot(across[:-1], down[:, :-1])[near[:-1, :-1]]
     steep = steep[np.isfinite(steep)]
     if not steep.size:
         return STEEPEST_FLAT
-    typical, rare = np.percentile(steep, (50, 98))
-    return float(
-        np.clip(max(_TIMES_TYPICAL * typical, _TIMES_RARE * rare), STEEPEST_FLAT, STEEPEST_DEEP)
-    )
+    limit = _TIMES_TYPICAL * float(np.median(steep))
+    return float(np.clip(limit, STEEPEST_FLAT, STEEPEST_DEEP))
 
 
 def _broken(
@@ -165,21 +169,30 @@ def _ends(links: tuple[Mask, Mask], shape: tuple[int, int]) -> Mask:
 def _join_parts(
     region: Mask, parts: NDArray[np.integer], heights: Array, sampling: Sampling, limit: float
 ) -> Mask:
-    """Add parts whose heights go on across the gap that a stroke has cut."""
+    """Add parts whose heights go on across the gap that a stroke has cut.
+
+    Where a part comes nearest to the region, its height must differ by no more than a gentle slope
+    makes over the gap, or than is little beside the relief that the region has itself; a frame
+    differs by its whole height over a gap of few pixels.
+    """
+    side_px = np.sqrt(np.count_nonzero(parts))
+    widest = max(_BRIDGE_PX, _BRIDGE * side_px)
     sizes = np.bincount(parts.ravel())
     candidates = {int(i) for i in np.flatnonzero(sizes >= _LEAST_PART * region.sum()) if i}
     candidates -= set(np.unique(parts[region]).tolist())
     while candidates:
         distance, (row, column) = ndimage.distance_transform_edt(~region, return_indices=True)
-        contact = (parts > 0) & ~region & (distance <= _BRIDGE_PX)
-        labels = parts[contact]
-        rise = np.abs(heights[contact] - heights[row[contact], column[contact]])
-        slope = rise / (distance[contact] * sampling.distance_mm)
-        joined = [
-            part
-            for part in sorted(candidates & set(np.unique(labels).tolist()))
-            if np.median(slope[labels == part]) < limit / 2
-        ]
+        facing = (distance <= widest) & ~region & np.isin(parts, sorted(candidates))
+        labels, gap = parts[facing], distance[facing]
+        rise = np.abs(heights[facing] - heights[row[facing], column[facing]])
+        low, high = np.percentile(heights[region], (1, 99))
+        small = np.maximum(_GENTLE * limit * gap * sampling.distance_mm, _OWN_RELIEF * (high - low))
+        joined = []
+        for part in sorted(set(labels.tolist())):
+            own = labels == part
+            nearest = own & (gap <= gap[own].min() + _CONTACT_PX)
+            if np.median(rise[nearest] / small[nearest]) < 1:
+                joined.append(part)
         if not joined:
             break
         region = region | np.isin(parts, joined)
@@ -214,7 +227,7 @@ def _close_notches(region: Mask, valid: Mask, heights: Array, sampling: Sampling
     notch = closed[around:-around, around:-around] & valid & ~region
     _, (row, column) = ndimage.distance_transform_edt(~region, return_indices=True)
     rise = np.abs(heights - heights[row, column])
-    return region | (notch & (rise <= _ISLAND_RISE * side_px * sampling.distance_mm))
+    return np.asarray(region | (notch & (rise <= _ISLAND_RISE * side_px * sampling.distance_mm)))
 
 
 def _fill_islands(

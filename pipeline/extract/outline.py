@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def skew_angle(points: NDArray[np.floating], area: float) -> float | None:
         return None
     try:
         hull = points[ConvexHull(points).vertices].astype(np.float64)
-    except ValueError:  # QhullError: the points lie on a line
+    except QhullError:  # the points lie on a line
         return None
     angle, smallest = _smallest_rectangle(hull)
     if not smallest > 0 or area < RECTANGULARITY * smallest:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from pipeline.geometry.rigid import RigidTransform
 
 Array = NDArray[np.float64]
 
-_HUBER = 1.345  # 95 % efficient on normal residuals
+_HUBER, _TUKEY = 1.345, 4.685  # 95 % efficient on normal residuals
 _MAD_TO_SIGMA = 1.4826
 _ITERATIONS = 30
 _MOST_POINTS = 50_000
@@ -54,9 +55,10 @@ def fit_plane(points_mm: NDArray[np.floating], weights: NDArray[np.floating]) ->
 
     Notes
     -----
-    Iteratively reweighted total least squares with Huber's weights on a scale from the median
-    absolute residual (Huber 1981, *Robust Statistics*, ch. 7). Huber's loss has one minimum for a
-    given orientation, so a deep relief gets its mean plane and not one of its facets.
+    Iteratively reweighted total least squares on a scale from the median absolute residual (Huber
+    1981, *Robust Statistics*, ch. 7). Huber's weights, which lead to one plane from anywhere, come
+    first; Tukey's biweight goes on from there and gives up what stands far off. The scale of a deep
+    relief is the relief's own, so that it gets its mean plane and not one of its facets.
     """
     used = np.flatnonzero(weights > 0)
     used = used[:: 1 + len(used) // _MOST_POINTS]
@@ -67,17 +69,8 @@ def fit_plane(points_mm: NDArray[np.floating], weights: NDArray[np.floating]) ->
     offset = points.mean(axis=0)
     points = points - offset
     plane = _principal_plane(points, prior)
-    for _ in range(_ITERATIONS):
-        residual = np.abs(plane.heights(points))
-        scale = _HUBER * _MAD_TO_SIGMA * float(_weighted_median(residual, prior))
-        if scale <= 1e-9 * float(np.abs(points).max()):
-            break
-        previous = plane
-        plane = _principal_plane(points, prior * np.minimum(1, scale / np.maximum(residual, scale)))
-        turned = np.linalg.norm(np.cross(previous.normal, plane.normal))
-        shifted = abs((plane.centre_mm - previous.centre_mm) @ plane.normal)
-        if turned < 1e-7 and shifted < 1e-5 * scale:
-            break
+    for loss in (_huber, _tukey):
+        plane = _reweight(plane, points, prior, loss)
     return Plane(plane.centre_mm + offset, plane.normal)
 
 
@@ -104,6 +97,30 @@ def canvas_axes(plane: Plane, camera: Camera) -> RigidTransform:
         y = np.cross(z, x)
     y = y / np.linalg.norm(y)
     return RigidTransform(np.stack([np.cross(y, z), y, z], axis=1), plane.centre_mm)
+
+
+def _reweight(plane: Plane, points: Array, prior: Array, loss: Callable[[Array], Array]) -> Plane:
+    size = float(np.abs(points).max())
+    for _ in range(_ITERATIONS):
+        residual = np.abs(plane.heights(points))
+        scale = _MAD_TO_SIGMA * _weighted_median(residual, prior)
+        if scale <= 1e-9 * size:
+            break
+        previous = plane
+        plane = _principal_plane(points, prior * loss(residual / scale))
+        turned = np.linalg.norm(np.cross(previous.normal, plane.normal))
+        shifted = abs((plane.centre_mm - previous.centre_mm) @ plane.normal)
+        if turned < 1e-7 and shifted < 1e-5 * scale:
+            break
+    return plane
+
+
+def _huber(residual: Array) -> Array:
+    return _HUBER / np.maximum(residual, _HUBER)
+
+
+def _tukey(residual: Array) -> Array:
+    return np.maximum(1 - (residual / _TUKEY) ** 2, 0) ** 2
 
 
 def _principal_plane(points: Array, weights: Array) -> Plane:

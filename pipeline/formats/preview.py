@@ -27,7 +27,7 @@ def shade_preview(asset: Asset) -> NDArray[np.uint8]:
     nz = np.sqrt(np.maximum(1 - (normal**2).sum(axis=-1), 0))
     cosine = np.maximum(normal @ _LIGHT[:2] + nz * _LIGHT[2], 0) / _LIGHT[2]
     light = _SKY * (0.5 + 0.5 * nz) + (1 - _SKY) * cosine
-    colour = asset.diffuse * light[..., None]
+    colour = np.nan_to_num(asset.diffuse * light[..., None], posinf=0)
     weight = _blocks(asset.mask.astype(np.float64)[..., None], step)
     linear = _blocks(np.where(asset.mask[..., None], colour, 0.0), step)
     shown = linear[weight[..., 0] > 0.5]
