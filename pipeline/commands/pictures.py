@@ -11,6 +11,9 @@ from pathlib import Path
 SIZE_PX = (960, 640)
 RECORD = "pictures.json"
 
+FILL = 0.04
+"""A weak second lamp in front, as a photographer's reflector, so that shadows are not empty."""
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -30,7 +33,7 @@ SHOTS = (
     Shot("raking-left", "Raking light from the left", -90, 90, 1.0, 180, 9),
     Shot("raking-top", "Raking light from above", -90, 90, 1.0, 90, 9),
     Shot("oblique", "From below at 45 degrees, lamp opposite", -90, 45, 1.0, 90, 45),
-    Shot("grazing", "Along the surface, at 15 degrees", -60, 15, 0.8, 140, 25),
+    Shot("grazing", "Along the surface, at 15 degrees", -80, 15, 0.7, 140, 25),
     Shot("near", "Near: a third of the distance, light at 25 degrees", -75, 60, 0.33, 150, 25),
     Shot("far", "Far: five times the distance", -90, 60, 5.0, 135, 50),
 )
@@ -59,6 +62,7 @@ def draw_pictures(asset_folder: Path, out: Path, *, say: Callable[[str], None]) 
     wanted = {
         "asset": _digest(asset_folder),
         "size_px": list(SIZE_PX),
+        "fill": FILL,
         "shots": [asdict(shot) for shot in SHOTS],
     }
     record = out / RECORD
@@ -79,7 +83,8 @@ def draw_pictures(asset_folder: Path, out: Path, *, say: Callable[[str], None]) 
         light = arc_light(
             asset, azimuth_deg=shot.light_azimuth_deg, elevation_deg=shot.light_elevation_deg
         )
-        result = draw.render(asset, view, [light], method=draw.REFERENCE)
+        fill = arc_light(asset, azimuth_deg=-90, elevation_deg=80, intensity=FILL * light.intensity)
+        result = draw.render(asset, view, [light, fill], method=draw.REFERENCE)
         tone.write_image(picture.path, result.image)
         seconds += result.elapsed_s
     write_text_atomically(record, json.dumps(wanted, indent=1) + "\n")

@@ -33,6 +33,9 @@ OBSERVED = 0.25
 """A lobe counts as observed if some sample reached this share of its peak."""
 
 _ROUNDS, _STEPS = 3, 15
+_SETTLED = 1e-5
+"""Relative gain of a step below which a texel is left; its error is then far below its noise."""
+
 _CAUCHY = 2.385
 """The Cauchy weight's constant: 95 % efficiency on normal errors (Holland and Welsch 1977)."""
 
@@ -224,7 +227,7 @@ def _levenberg(across, along, values, weights, p, log_k, steps):  # type: ignore
             damping *= 8.0
         if not improved:
             break
-        settled = cost - new_cost <= 1e-7 * cost
+        settled = cost - new_cost <= _SETTLED * cost
         p, log_k, g, peak, linear, cost = new_p, new_k, new_g, new_peak, new_linear, new_cost
         damping = max(damping / 10.0, 1e-9)
         if settled:
