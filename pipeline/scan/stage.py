@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,10 @@ from pipeline.errors import ImpastoError
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.calibration import CALIBRATION, Calibration
 from pipeline.formats.range_image import RANGE, TEXTURE, RangeImage, Texture
+
+LEAST_AGREEMENT = 0.9
+LARGEST_FRAME_SHIFT = 0.3
+MOST_SATURATED = 0.6
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,18 @@ class Config(BaseModel):
         gt=0,
         description="Largest residual across the epipolar line, in its own robust deviations.",
     )
+    minimum_modulation: float = Field(
+        default=0.3,
+        ge=0,
+        le=1,
+        description="Least contrast of the fringes, as a share of the picture's median.",
+    )
+    fewest_pixels: int = Field(
+        default=25, ge=1, description="Pieces of surface with fewer pixels are dropped."
+    )
+    maximum_sigma_mm: float | None = Field(
+        default=None, gt=0, description="Points with a larger standard deviation are dropped."
+    )
     correct_albedo_edges: bool = Field(
         default=True, description="Correct the shift that albedo edges inside a pixel cause."
     )
@@ -61,7 +78,10 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
         raise ImpastoError("the projector is not calibrated", where="calibration.json: projector")
     camera = calibration.camera(sequence.camera)
     coordinates = decode_sequence(
-        inputs.bundle, sequence, progress=lambda done, total: log.progress(done, total, "frames")
+        inputs.bundle,
+        sequence,
+        minimum_modulation=config.minimum_modulation,
+        progress=lambda done, total: log.progress(done, total, "frames"),
     )
     measured = measure(
         coordinates,
@@ -69,8 +89,13 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
         calibration.projector,
         epipolar_tolerance=config.epipolar_tolerance,
         correct_albedo_edges=config.correct_albedo_edges,
+        fewest_pixels=config.fewest_pixels,
     )
-    known = np.isfinite(measured.sigma_mm)
+    points, sigma = measured.points_mm, measured.sigma_mm
+    if config.maximum_sigma_mm is not None:
+        unsure = sigma > config.maximum_sigma_mm
+        points[unsure], sigma[unsure] = np.nan, np.nan
+    known = np.isfinite(sigma)
     if not known.any():
         raise ImpastoError(
             "no point could be triangulated",
@@ -78,24 +103,44 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
             fix="check that the calibration belongs to this capture",
         )
     log.metric("share_measured", float(known.mean()))
-    log.metric("median_sigma_mm", float(np.median(measured.sigma_mm[known])))
+    log.metric("median_sigma_mm", float(np.median(sigma[known])))
     for name, value in (measured.statistics | coordinates.statistics).items():
         log.metric(name, value)
-    if coordinates.x is None or coordinates.y is None:
-        absent = "x" if coordinates.x is None else "y"
-        log.skipped(f"axis {absent} and the epipolar check", "the patterns code one axis only")
-    agree = min(
-        (v for k, v in coordinates.statistics.items() if k.startswith("share_agree")), default=1.0
-    )
-    if agree < 0.9:
-        log.warning(
-            f"phase and Gray code contradict each other on {1 - agree:.0%} of the pixels; check "
-            "phase_offset, sign and the order of the frames"
-        )
+    _report(coordinates.statistics, measured.statistics, log)
     return Outputs(
-        RangeImage(measured.points_mm, measured.sigma_mm),
+        RangeImage(points, sigma),
         Texture(coordinates.radiance, coordinates.radiance_source),
     )
+
+
+def _report(decoded: dict[str, float], measured: dict[str, float], log: Log) -> None:
+    """Say what was doubtful and what was left out."""
+    axes = [
+        axis for axis in "xy" if f"jumps_repaired_{axis}" in decoded or f"bits_{axis}" in decoded
+    ]
+    if "epipolar_rms_px" not in measured:
+        log.skipped("the epipolar check", f"the patterns code one axis only, {''.join(axes)}")
+    for axis in axes:
+        if decoded.get(f"redundant_steps_{axis}") == 0:
+            log.skipped(
+                f"the brightness of single frames along {axis}",
+                "three steps leave nothing to spare",
+            )
+        agree = decoded.get(f"share_agree_{axis}", 1.0)
+        if agree < LEAST_AGREEMENT:
+            log.warning(
+                f"the patterns along {axis} contradict each other on {1 - agree:.0%} of the "
+                "pixels; check phase_offset, sign, period_px and the order of the frames"
+            )
+        shift = decoded.get(f"frame_shift_rad_{axis}", 0.0)
+        if shift > LARGEST_FRAME_SHIFT:
+            log.warning(
+                f"a fringe along {axis} is {math.degrees(shift):.0f} degrees from where "
+                "capture.json puts it; check the order of the frames"
+            )
+        saturated = decoded.get(f"share_steps_saturated_{axis}", 0.0)
+        if saturated > MOST_SATURATED:
+            log.warning(f"{saturated:.0%} of the fringes along {axis} are saturated and not used")
 
 
 STAGE = Stage("scan", version=1, inputs=Inputs, outputs=Outputs, config=Config, run=run)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,22 @@ from numpy.typing import NDArray
 from pipeline.errors import ImpastoError
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.capture import Sequence
+from pipeline.structured_light.circle import fit_circle, without_harmonic
 from pipeline.structured_light.coordinates import ProjectorCoordinates
 from pipeline.structured_light.frames import FrameReader, exposure
-from pipeline.structured_light.fringes import Fringes, frame_gains, solve_fringes
+from pipeline.structured_light.fringes import Fringes, solve_fringes
+from pipeline.structured_light.gains import (
+    evenly_spread,
+    frame_basis,
+    measured_noise,
+    nominal_basis,
+    redundant,
+)
 from pipeline.structured_light.gray import bit_score, cells
-from pipeline.structured_light.noise import NoiseModel, noise_model
+from pipeline.structured_light.noise import NoiseModel, excess, noise_model
 from pipeline.structured_light.plan import AxisPlan, PhaseGroup, Plan, make_plan
 from pipeline.structured_light.unwrap import (
+    refine,
     repair_jumps,
     unwrap_by_cells,
     unwrap_by_periods,
@@ -35,16 +45,32 @@ WORST_CHI2 = 30.0
 LEAST_GRAY_SCORE = 0.12
 """Without phase, a pixel whose weakest bit is less sure than this is left out."""
 
-_SIGMA_FLOOR_PX = 0.01
+MOST_STEPS_WITH_HARMONIC = 6
+"""More steps mistake only harmonics that no projector shows."""
+
+SYSTEMATIC = 0.002
+"""Radians that no phase is better known than: the projector's own rounding."""
 
 
 def decode_sequence(
     bundle: Bundle,
     sequence: Sequence,
     *,
+    minimum_modulation: float = 0.3,
     progress: Callable[[int, int], None] | None = None,
 ) -> ProjectorCoordinates:
     """Decode a sequence of any patterns and exposures.
+
+    Parameters
+    ----------
+    bundle, sequence
+        The frames; ``bundle.capture.projector`` needs its size only.
+    minimum_modulation
+        Least contrast of the fringes, as a share of the picture's median. Light that reached a
+        pixel by way of other surfaces has little, for they average fine patterns away (Nayar,
+        Krishnan, Grossberg and Raskar 2006).
+    progress
+        Told how many frames of how many were read.
 
     Raises
     ------
@@ -55,13 +81,13 @@ def decode_sequence(
         raise ImpastoError("a projector is needed to decode", where="capture.json: projector")
     size_px = bundle.capture.projector.size_px
     plan = make_plan(sequence, size_px)
-    reader = FrameReader(bundle, sequence.frames, progress)
-    noise = noise_model(bundle.capture.cameras[sequence.camera], reader.stored_bits)
-    decoder = _Decoder(plan, reader, noise)
-    axes = {
-        name: decoder.axis(name, axis, size_px[0] if name == "x" else size_px[1])
-        for name, axis in sorted(plan.axes.items())
-    }
+    with FrameReader(bundle, plan.frames(), progress) as reader:
+        noise = noise_model(bundle.capture.cameras[sequence.camera], reader.stored_bits)
+        decoder = _Decoder(plan, reader, noise, minimum_modulation)
+        axes = {
+            name: decoder.axis(name, axis, size_px[0] if name == "x" else size_px[1])
+            for name, axis in sorted(plan.axes.items())
+        }
     if not any(np.isfinite(coordinate).any() for coordinate, _ in axes.values()):
         raise ImpastoError(
             "no pixel shows the patterns",
@@ -79,9 +105,14 @@ def decode_sequence(
 class _Decoder:
     """What the axes of one sequence share: plain light, fringes, and the figures to report."""
 
-    def __init__(self, plan: Plan, reader: FrameReader, noise: NoiseModel) -> None:
+    def __init__(
+        self, plan: Plan, reader: FrameReader, noise: NoiseModel, minimum_modulation: float
+    ) -> None:
         self.plan, self.reader, self.noise = plan, reader, noise
-        self.statistics: dict[str, float] = {}
+        self.minimum_modulation = minimum_modulation
+        self.statistics: dict[str, float] = {
+            f"bits_{name}": axis.bits for name, axis in plan.axes.items()
+        }
         self.white = reader.light(plan.white, noise)
         self.black = reader.light(plan.black, noise)
         self.fringes: Fringes | None = None
@@ -101,54 +132,128 @@ class _Decoder:
         """Decode one axis: the coordinate and its standard deviation, px."""
         periods = sorted(axis.phases)
         groups = [self._fringes(name, axis.phases[period]) for period in periods]
-        if groups and self.fringes is None:
-            self.fringes = groups[0]
         if not groups:
             return self._by_gray_alone(axis, size_px)
-        finest, period = groups[0], periods[0]
+        if self.fringes is None:
+            self.fringes = groups[0]
         wrapped = [wrapped_coordinate(g.phase, p) for g, p in zip(groups, periods, strict=True)]
         sigmas = [
-            np.hypot(g.sigma * np.float32(p / (2 * math.pi)), np.float32(_SIGMA_FLOOR_PX))
+            np.hypot(g.sigma, np.float32(SYSTEMATIC)) * np.float32(p / (2 * math.pi))
             for g, p in zip(groups, periods, strict=True)
         ]
+        certain = self._certain(groups)
         if axis.bits:
-            cell, doubt, neighbour = self._cells(axis, finest)
-            coordinate, away = unwrap_by_cells(
-                wrapped[0], period, cell, doubt, neighbour, axis.cell_px, size_px
+            longest = len(periods) - 1
+            coordinate = self._by_cells(
+                name, axis, groups[longest], wrapped[longest], certain, size_px
             )
-            sigma = sigmas[0]
-            # Phase and Gray code may differ by the half cell that the code leaves open, no more.
-            reach = 0.5 * axis.cell_px + max(2.0, 0.15 * axis.cell_px)
-            known = np.isfinite(coordinate) & (finest.sigma < LARGEST_PHASE_SIGMA)
-            self.statistics[f"share_agree_{name}"] = float(np.mean(away[known] <= reach))
-            coordinate[~(away <= max(reach, 0.35 * period))] = np.nan
+            sigma = sigmas[longest]
+            for i in reversed(range(longest)):
+                coordinate, sigma = refine(coordinate, sigma, wrapped[i], sigmas[i], periods[i])
         else:
             coordinate, sigma = unwrap_by_periods(
                 np.stack(wrapped), np.stack(sigmas), np.array(periods, dtype=np.float64), size_px
             )
-        certain = finest.sigma < LARGEST_PHASE_SIGMA
-        usual = np.nanmedian(finest.chi2[certain]) if np.isfinite(finest.chi2[certain]).any() else 1
-        certain &= ~(finest.chi2 > WORST_CHI2 * usual)
-        coordinate[~certain] = np.nan
-        coordinate, shifted = repair_jumps(coordinate, period)
-        self.statistics[f"jumps_repaired_{name}"] = shifted
+            if certain.any():
+                self.statistics[f"share_agree_{name}"] = float(
+                    np.mean(np.isfinite(coordinate[certain]))
+                )
+            coordinate[~certain] = np.nan
+        coordinate, shifted = repair_jumps(coordinate, periods[0])
+        key = f"jumps_repaired_{name}"
+        self.statistics[key] = self.statistics.get(key, 0) + shifted
         return coordinate, np.where(np.isfinite(coordinate), sigma, np.nan).astype(np.float32)
 
     def _fringes(self, name: str, group: PhaseGroup) -> Fringes:
         """Solve one period, each exposure's frames with their own brightness."""
         stack = self.reader.stack(group.frames)
         shifts = np.array(group.shifts)
-        light = np.array([exposure(frame) for frame in group.frames])
-        uneven = 0.0
-        for seconds in np.unique(light):
-            same = light == seconds
-            gains = frame_gains(stack[same], shifts[same], self.reader.full_scale)
-            uneven = max(uneven, float(np.abs(gains - 1).max()))
-            light[same] *= gains
-        key = f"frame_brightness_spread_{name}"
-        self.statistics[key] = max(self.statistics.get(key, 0.0), uneven)
-        fringes = solve_fringes(stack, shifts, light, self.reader.full_scale, self.noise)
-        return _rescaled(fringes, self.noise)
+        seconds = np.array([exposure(frame) for frame in group.frames])
+        basis = nominal_basis(shifts)
+        redundancy = 0
+        for exposed in np.unique(seconds):
+            same = seconds == exposed
+            redundancy = max(redundancy, redundant(shifts[same]))
+            basis[same] = frame_basis(stack[same], shifts[same], self.reader.full_scale)
+        turned = np.arctan2(-basis[:, 2], basis[:, 1]) - shifts
+        self._note(f"redundant_steps_{name}", redundancy, max)
+        self._note(f"frame_brightness_spread_{name}", float(np.abs(basis[:, 0] - 1).max()), max)
+        self._note(f"frame_shift_rad_{name}", float(np.abs(np.sin(turned / 2)).max() * 2), max)
+        noise = self.noise
+        if not noise.given:
+            found = measured_noise(stack, shifts, basis, seconds, self.reader.full_scale)
+            noise = noise if found is None else found
+        fringes = solve_fringes(stack, basis, seconds, self.reader.full_scale, noise)
+        fringes = self._without_harmonic(name, fringes, shifts)
+        self._note(f"share_steps_saturated_{name}", fringes.share_dropped, max)
+        if redundancy > 0 and noise.given:
+            # The given model leaves out what is not the sensor's: flicker, harmonics, vibration.
+            lit = fringes.chi2[fringes.sigma < LARGEST_PHASE_SIGMA]
+            scale = np.float32(max(excess(lit, len(shifts) - 3), 1.0))
+            self._note(f"noise_excess_{name}", float(scale), max)
+            fringes = replace(fringes, sigma=fringes.sigma * scale, chi2=fringes.chi2 / scale**2)
+        return fringes
+
+    def _without_harmonic(
+        self, name: str, fringes: Fringes, shifts: NDArray[np.float64]
+    ) -> Fringes:
+        """Correct the projector's harmonic that evenly spread steps mistake for the fringe."""
+        steps = evenly_spread(shifts)
+        if not 3 <= steps <= MOST_STEPS_WITH_HARMONIC:
+            return fringes
+        circle = fit_circle(fringes, (1, 2, steps))
+        if circle is None:
+            return fringes
+        self._note(f"harmonic_{name}", abs(circle.harmonic[steps]), max)
+        return replace(fringes, phase=without_harmonic(fringes.phase, circle, steps))
+
+    def _note(self, key: str, value: float, merge: Callable[[float, float], float]) -> None:
+        self.statistics[key] = (
+            merge(self.statistics[key], value) if key in self.statistics else value
+        )
+
+    def _certain(self, groups: list[Fringes]) -> NDArray[np.bool_]:
+        """Mask pixels whose phase is noise, contradicts itself, or is not the projector's light."""
+        certain = np.ones(groups[0].phase.shape, np.bool_)
+        for group in groups:
+            certain &= group.sigma < LARGEST_PHASE_SIGMA
+            certain &= ~(group.chi2 > WORST_CHI2)
+        if self.minimum_modulation > 0 and certain.any():
+            with np.errstate(invalid="ignore", divide="ignore"):
+                if self.white is not None and self.black is not None:
+                    contrast = 2 * groups[0].amplitude / (self.white - self.black)
+                else:
+                    contrast = groups[0].amplitude / groups[0].offset
+            usual = float(np.nanmedian(contrast[certain]))
+            if math.isfinite(usual):
+                certain &= ~(contrast < self.minimum_modulation * usual)
+        return certain
+
+    def _by_cells(
+        self,
+        name: str,
+        axis: AxisPlan,
+        fringes: Fringes,
+        wrapped: Image,
+        certain: NDArray[np.bool_],
+        size_px: int,
+    ) -> Image:
+        """Unwrap the longest period by the Gray code; leave out where the two contradict."""
+        period = max(axis.phases)
+        cell, doubt, neighbour = self._cells(axis, fringes)
+        coordinate, away = unwrap_by_cells(
+            wrapped, period, cell, doubt, neighbour, axis.cell_px, size_px
+        )
+        # Phase and Gray code may differ by the half cell that the code leaves open, no more.
+        reach = 0.5 * axis.cell_px + max(2.0, 0.15 * axis.cell_px)
+        known = certain & np.isfinite(coordinate)
+        self.statistics[f"share_agree_{name}"] = (
+            float(np.mean(away[known] <= reach)) if known.any() else 0.0
+        )
+        coordinate[~(away <= max(reach, 0.35 * period)) | ~certain] = np.nan
+        coordinate, shifted = repair_jumps(coordinate, period)
+        self.statistics[f"jumps_repaired_{name}"] = shifted
+        return coordinate
 
     def _by_gray_alone(self, axis: AxisPlan, size_px: int) -> tuple[Image, Image]:
         cell, doubt, _ = self._cells(axis, None)
@@ -163,10 +268,10 @@ class _Decoder:
         """Decide the bits, one at a time so that no more than two images of light are held."""
         scores = []
         for bit in range(axis.bits):
-            plain = self.reader.brightest(axis.plain.get(bit, []))
-            inverted = self.reader.brightest(axis.inverted.get(bit, []))
+            plain = self.reader.light(axis.plain.get(bit, []), self.noise, at_least=True)
+            inverted = self.reader.light(axis.inverted.get(bit, []), self.noise, at_least=True)
             dark, bright = self._levels(plain, inverted, fringes)
-            self.lit = bright if self.lit is None else np.maximum(self.lit, bright)
+            self.lit = bright if self.lit is None else np.fmax(self.lit, bright)
             scores.append(bit_score(plain, inverted, dark, bright))
         return cells(np.stack(scores))
 
@@ -180,15 +285,3 @@ class _Decoder:
             return np.minimum(plain, inverted), np.maximum(plain, inverted)
         assert fringes is not None  # the plan was checked
         return fringes.offset - fringes.amplitude, fringes.offset + fringes.amplitude
-
-
-def _rescaled(fringes: Fringes, noise: NoiseModel) -> Fringes:
-    """Scale the standard deviations by the residuals where the noise model was only assumed."""
-    seen = np.isfinite(fringes.chi2) & (fringes.sigma < LARGEST_PHASE_SIGMA)
-    if not seen.any():
-        return fringes
-    scale = math.sqrt(float(np.mean(np.minimum(fringes.chi2[seen], WORST_CHI2))))
-    if noise.given:
-        scale = max(scale, 1.0)
-    sigma = (fringes.sigma * np.float32(scale)).astype(np.float32)
-    return Fringes(fringes.phase, sigma, fringes.amplitude, fringes.offset, fringes.chi2)

@@ -10,6 +10,8 @@ shift does across the epipolar line cannot be depth.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,24 +22,65 @@ TYPICAL_VARIANCE_PX2 = 0.2
 """A pixel's own square (1/12) and a spread of about a third of a pixel."""
 
 LARGEST_VARIANCE_PX2 = 1.5
-REMAINDER = 0.6
-"""Share of the correction that stays uncertain: the edge's place inside the pixel is not known."""
+REMAINDER = 0.3
+"""Share of the shift that stays uncertain in any direction: the edge's form is not known."""
+
+STEEPEST = 1.5
+"""Bound of grad(ln W), 1/px: beyond, samples a pixel apart do not tell the derivative."""
 
 _REACH = 4
 
 
-def edge_shift(coordinate: Image, light: Image) -> Image:
-    """Return the shift of the coordinate per unit of spread variance, J . grad(ln W), px / px^2.
+@dataclass(frozen=True)
+class EdgeShift:
+    """Shift of a coordinate per unit of spread variance: expected, and how large it may be.
 
-    0 where the light is not known.
+    Both (rows, columns) float32, projector px per px^2; 0 where the light is not known.
     """
+
+    expected: Image
+    largest: Image
+
+
+def log_gradient(light: Image) -> tuple[Image, Image]:
+    """Return the derivatives of ln(light) along x and y, 1/px, from its cubic spline.
+
+    A spline's derivative is near the true one up to 0.7 of the sampling limit; a central
+    difference loses half there (Unser 1999).
+    """
+    from scipy.ndimage import correlate1d, spline_filter1d
+
+    top = float(np.nanmax(light, initial=0.0))
+    log = np.log(np.fmax(light, max(top * 1e-4, 1e-30)))
+    known = np.isfinite(light)
+    # Unknown pixels are saturated ones as a rule: as bright as the brightest.
+    log = np.where(known, log, np.log(max(top, 1e-30))).astype(np.float32)
+    # The mirrored border has no derivative of its own.
+    slope, smooth = np.array([-0.5, 0, 0.5]), np.array([1, 4, 1]) / 6
+    spline = log
+    for axis in (0, 1):
+        spline = spline_filter1d(spline, 3, axis=axis, output=np.float32, mode="mirror")
+    gradients = []
+    for along, across in ((1, 0), (0, 1)):
+        derived = correlate1d(
+            correlate1d(spline, slope, axis=along, mode="mirror"),
+            smooth,
+            axis=across,
+            mode="mirror",
+        )
+        gradients.append(np.where(known, np.clip(derived, -STEEPEST, STEEPEST), 0))
+    return gradients[0].astype(np.float32), gradients[1].astype(np.float32)
+
+
+def edge_shift(coordinate: Image, gradient: tuple[Image, Image]) -> EdgeShift:
+    """Return J . grad(ln W), the shift of the coordinate per unit of the spread's variance."""
     slope_x, slope_y = local_slope(coordinate)
-    log = np.log(np.maximum(light, np.nanmax(light, initial=1e-12) * 1e-4))
-    known = np.isfinite(log)
-    gradient_y, gradient_x = np.gradient(np.where(known, log, 0))
-    # Across a steep edge the finite difference of ln W exaggerates, so it is bounded.
-    shift = slope_x * np.clip(gradient_x, -1, 1) + slope_y * np.clip(gradient_y, -1, 1)
-    return np.where(known & np.isfinite(shift), shift, 0).astype(np.float32)
+    gradient_x, gradient_y = gradient
+    expected = slope_x * gradient_x + slope_y * gradient_y
+    largest = np.hypot(slope_x, slope_y) * np.hypot(gradient_x, gradient_y)
+    return EdgeShift(
+        np.nan_to_num(expected).astype(np.float32), np.nan_to_num(largest).astype(np.float32)
+    )
 
 
 def local_slope(image: Image) -> tuple[Image, Image]:
@@ -45,13 +88,16 @@ def local_slope(image: Image) -> tuple[Image, Image]:
     known = np.isfinite(image).astype(np.float32)
     values = np.where(known > 0, image, 0).astype(np.float32)
     # Around the mean, so that float32 keeps the digits.
-    middle = np.float32(values.sum(dtype=np.float64) / max(known.sum(), 1))
+    middle = np.float32(values.sum(dtype=np.float64) / max(known.sum(dtype=np.float64), 1))
     values = (values - middle) * known
     ramp = np.arange(-_REACH, _REACH + 1, dtype=np.float32)
     ones = np.ones_like(ramp)
 
     def moment(of: Image, along_x: Image, along_y: Image) -> Image:
-        return np.asarray(cv2.sepFilter2D(of, cv2.CV_32F, along_x, along_y), dtype=np.float32)
+        return np.asarray(
+            cv2.sepFilter2D(of, cv2.CV_32F, along_x, along_y, borderType=cv2.BORDER_CONSTANT),
+            dtype=np.float32,
+        )
 
     count, total = moment(known, ones, ones), moment(values, ones, ones)
     slopes = []
@@ -73,7 +119,7 @@ def spread_variance(across: Image, expected: Image) -> float | None:
     across
         (rows, columns) residual across the epipolar line, projector px.
     expected
-        The part of :func:`edge_shift` across the line: ``across = variance * expected``.
+        The part of the expected shift across the line: ``across = variance * expected``.
 
     Returns
     -------

@@ -13,11 +13,6 @@ from pipeline.structured_light.noise import SATURATED, NoiseModel
 
 Image = NDArray[np.float32]
 
-GAIN_PRIOR = 0.03
-"""Expected spread of the frames' brightness; it holds what the data cannot tell apart."""
-
-_FEWEST_PIXELS = 1000
-
 
 @dataclass(frozen=True)
 class Fringes:
@@ -31,6 +26,8 @@ class Fringes:
         Light per second of exposure.
     chi2
         Reduced sum of squared residuals; NaN where no step is redundant.
+    share_dropped
+        Share of all steps that were left out because they are saturated.
     """
 
     phase: Image
@@ -38,11 +35,12 @@ class Fringes:
     amplitude: Image
     offset: Image
     chi2: Image
+    share_dropped: float = 0.0
 
 
 def solve_fringes(
     stack: NDArray[np.number],
-    shifts: NDArray[np.float64],
+    basis: NDArray[np.float64],
     light: NDArray[np.float64],
     full_scale: float,
     noise: NoiseModel,
@@ -53,57 +51,85 @@ def solve_fringes(
     ----------
     stack
         (frames, rows, columns) stored values.
-    shifts
-        (frames,) phase of each frame against the coordinate, radians.
+    basis
+        (frames, 3) what each frame shows of offset, cosine and sine: (1, cos, -sin) of its shift
+        where nothing drifts.
     light
-        (frames,) exposure times relative brightness; one dim long exposure and one bright short one
-        weigh in by their noise.
+        (frames,) exposure times; one dim long exposure and one bright short one weigh in by their
+        noise.
     full_scale
         The stored value that means 1.
     """
-    basis = np.stack([np.ones_like(shifts), np.cos(shifts), -np.sin(shifts)], axis=1)
-    return Fringes(*_solve(stack, basis, light, 1 / full_scale, SATURATED, noise.shot, noise.floor))
+    phase, sigma, amplitude, offset, chi2, used = _solve(
+        stack, basis, light, 1 / full_scale, SATURATED, noise.shot, noise.floor
+    )
+    dropped = 1 - int(used) / max(stack.size, 1)
+    return Fringes(phase, sigma, amplitude, offset, chi2, dropped)
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _solve(stack, basis, light, unit, saturated, shot, floor):  # type: ignore[no-untyped-def]
     frames, rows, columns = stack.shape
     phase = np.full((rows, columns), np.nan, np.float32)
     sigma, amplitude = phase.copy(), phase.copy()
     offset, chi2 = phase.copy(), phase.copy()
+    kept = np.zeros(rows, np.int64)
     for row in prange(rows):
+        values = np.empty(frames)
         for column in range(columns):
-            m00 = m01 = m02 = m11 = m12 = m22 = 0.0
-            b0 = b1 = b2 = yy = 0.0
             used = 0
+            level = time = 0.0
             for f in range(frames):
                 v = stack[f, row, column] * unit
-                if not v < saturated:
-                    continue
-                w = 1.0 / (shot * max(v, 0.0) + floor)
-                c0, c1, c2 = light[f], light[f] * basis[f, 1], light[f] * basis[f, 2]
-                m00 += w * c0 * c0
-                m01 += w * c0 * c1
-                m02 += w * c0 * c2
-                m11 += w * c1 * c1
-                m12 += w * c1 * c2
-                m22 += w * c2 * c2
-                b0 += w * c0 * v
-                b1 += w * c1 * v
-                b2 += w * c2 * v
-                yy += w * v * v
-                used += 1
-            # Cofactors of the symmetric normal matrix.
-            k00, k01, k02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
-            k11, k12, k22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
-            determinant = m00 * k00 + m01 * k01 + m02 * k02
-            if used < 3 or not determinant > 1e-6 * m00 * m11 * m22:
+                if v < saturated:
+                    values[f] = v
+                    level += v
+                    time += light[f] * basis[f, 0]
+                    used += 1
+                else:
+                    values[f] = np.nan
+            kept[row] += used
+            if used < 3:
                 continue
-            mean = (k00 * b0 + k01 * b1 + k02 * b2) / determinant
-            c = (k01 * b0 + k11 * b1 + k12 * b2) / determinant
-            s = (k02 * b0 + k12 * b1 + k22 * b2) / determinant
+            # The noise follows the light, first its mean, then what the first solution says. The
+            # noisy value itself would favour the steps that happen to be low.
+            mean, c, s = level / time, 0.0, 0.0
+            k11 = k12 = k22 = determinant = 0.0
+            solved = True
+            for _ in range(2):
+                m00 = m01 = m02 = m11 = m12 = m22 = 0.0
+                b0 = b1 = b2 = 0.0
+                for f in range(frames):
+                    v = values[f]
+                    if math.isnan(v):
+                        continue
+                    t = light[f]
+                    c0, c1, c2 = basis[f, 0], basis[f, 1], basis[f, 2]
+                    w = t / (shot * max(t * (mean * c0 + c * c1 + s * c2), 0.0) + floor)
+                    b0 += w * v * c0
+                    b1 += w * v * c1
+                    b2 += w * v * c2
+                    w *= t
+                    m00 += w * c0 * c0
+                    m01 += w * c0 * c1
+                    m02 += w * c0 * c2
+                    m11 += w * c1 * c1
+                    m12 += w * c1 * c2
+                    m22 += w * c2 * c2
+                # Cofactors of the symmetric normal matrix.
+                k00, k01, k02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
+                k11, k12, k22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
+                determinant = m00 * k00 + m01 * k01 + m02 * k02
+                if not determinant > 1e-6 * m00 * m11 * m22:
+                    solved = False
+                    break
+                mean = (k00 * b0 + k01 * b1 + k02 * b2) / determinant
+                c = (k01 * b0 + k11 * b1 + k12 * b2) / determinant
+                s = (k02 * b0 + k12 * b1 + k22 * b2) / determinant
+                if (c * c + s * s) ** 2 * determinant < s * s * k11 - 2 * s * c * k12 + c * c * k22:
+                    break  # more than a radian unsure: no fringes here
             power = c * c + s * s
-            if not power > 0.0:
+            if not solved or not power > 0.0:
                 continue
             phase[row, column] = math.atan2(s, c)
             variance = (s * s * k11 - 2 * s * c * k12 + c * c * k22) / determinant / (power * power)
@@ -111,42 +137,10 @@ def _solve(stack, basis, light, unit, saturated, shot, floor):  # type: ignore[n
             amplitude[row, column] = math.sqrt(power)
             offset[row, column] = mean
             if used > 3:
-                chi2[row, column] = max(yy - mean * b0 - c * b1 - s * b2, 0.0) / (used - 3)
-    return phase, sigma, amplitude, offset, chi2
-
-
-def frame_gains(
-    stack: NDArray[np.number], shifts: NDArray[np.float64], full_scale: float
-) -> NDArray[np.float64]:
-    """Find the relative brightness of frames of one exposure from the residuals of all pixels.
-
-    With y_n = (1 + e_n) m_n and P the projection off the space of (1, cos, sin), a pixel's residual
-    is P diag(m) e: linear in e, so one least-squares solution over all pixels, repeated as m
-    improves. A prior of GAIN_PRIOR holds the directions that the phase itself would absorb.
-
-    Returns
-    -------
-    (frames,) with mean 1; all 1 where there is no redundant step or too little to see.
-    """
-    frames = len(shifts)
-    basis = np.stack([np.ones(frames), np.cos(shifts), -np.sin(shifts)], axis=1)
-    sample = stack[:, ::2, ::2].reshape(frames, -1)
-    values = sample[:, (sample < SATURATED * full_scale).all(axis=0)].astype(np.float64)
-    if frames <= np.linalg.matrix_rank(basis) or values.shape[1] < _FEWEST_PIXELS:
-        return np.ones(frames)
-    swing = values.max(axis=0) - values.min(axis=0)
-    values = values[:, swing > 0.3 * np.percentile(swing, 98)] / full_scale
-    project = np.eye(frames) - basis @ np.linalg.pinv(basis)
-    gains = np.ones(frames)
-    for _ in range(4):
-        residual = project @ (values / gains[:, None])
-        model = values / gains[:, None] - residual
-        noise = float(np.mean(residual**2))
-        normal = project * (model @ model.T) + np.eye(frames) * noise / GAIN_PRIOR**2
-        if not noise > 0:
-            break
-        step = np.linalg.solve(normal, (model * residual).sum(axis=1))
-        gains *= 1 + step - step.mean()
-        if np.abs(step).max() < 1e-6:
-            break
-    return np.asarray(gains / gains.mean())
+                rest = 0.0
+                for f in range(frames):
+                    if not math.isnan(values[f]):
+                        model = light[f] * (mean * basis[f, 0] + c * basis[f, 1] + s * basis[f, 2])
+                        rest += (values[f] - model) ** 2 / (shot * max(model, 0.0) + floor)
+                chi2[row, column] = rest / (used - 3)
+    return phase, sigma, amplitude, offset, chi2, kept.sum()

@@ -28,7 +28,8 @@ def bit_score(plain: Image | None, inverted: Image | None, dark: Image, bright: 
     else:
         assert inverted is not None
         score = (dark + bright - 2 * inverted) / span
-    return np.nan_to_num(np.clip(score, -1, 1), nan=0.0).astype(np.float32)
+    clipped: Image = np.nan_to_num(np.clip(score, -1, 1), nan=0.0).astype(np.float32)
+    return clipped
 
 
 def cells(scores: Image) -> tuple[NDArray[np.int32], Image, NDArray[np.int32]]:
@@ -48,10 +49,11 @@ def cells(scores: Image) -> tuple[NDArray[np.int32], Image, NDArray[np.int32]]:
     neighbour
         The cell that the pixel would be in were its least sure bit the other way.
     """
-    return _cells(scores)  # type: ignore[no-any-return]
+    found: tuple[NDArray[np.int32], Image, NDArray[np.int32]] = _cells(scores)
+    return found
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _cells(scores):  # type: ignore[no-untyped-def]
     bits, rows, columns = scores.shape
     cell = np.zeros((rows, columns), np.int32)

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 
 from pipeline.errors import ImpastoError
 from pipeline.formats.capture import Frame, Sequence
-from pipeline.formats.patterns import Black, Gray, Phase, Product, White
+from pipeline.formats.patterns import Black, Gray, Pattern, Phase, Product, White
+
+ALIKE = 0.02
+"""Difference of two phases, as a share of their period, that noise can hide."""
 
 
 @dataclass
@@ -38,6 +41,16 @@ class Plan:
     black: list[Frame] = field(default_factory=list)
     axes: dict[str, AxisPlan] = field(default_factory=dict)
 
+    def frames(self) -> list[Frame]:
+        """Return all frames in the order in which the decoder reads them."""
+        ordered = [*self.white, *self.black]
+        for _, axis in sorted(self.axes.items()):
+            for period in sorted(axis.phases):
+                ordered += axis.phases[period].frames
+            for bit in range(axis.bits):
+                ordered += [*axis.plain.get(bit, []), *axis.inverted.get(bit, [])]
+        return ordered
+
     @property
     def where(self) -> str:
         """The place that errors name."""
@@ -67,7 +80,8 @@ def make_plan(sequence: Sequence, projector_px: tuple[int, int]) -> Plan:
 
 
 def _place(plan: Plan, frame: Frame) -> None:
-    match frame.pattern:
+    pattern = _simplified(frame.pattern)
+    match pattern:
         case White():
             plan.white.append(frame)
         case Black():
@@ -95,6 +109,18 @@ def _place(plan: Plan, frame: Frame) -> None:
                 where=plan.where,
                 expected="white, black, gray or phase",
             )
+
+
+def _simplified(pattern: Pattern) -> Pattern:
+    """Drop white factors; a black one makes everything black."""
+    if not isinstance(pattern, Product):
+        return pattern
+    first, second = (_simplified(part) for part in pattern.of)
+    if isinstance(first, White) or isinstance(second, Black):
+        return second
+    if isinstance(second, White) or isinstance(first, Black):
+        return first
+    return pattern
 
 
 def _check(plan: Plan, name: str, axis: AxisPlan, size_px: int) -> None:
@@ -130,9 +156,30 @@ def _check(plan: Plan, name: str, axis: AxisPlan, size_px: int) -> None:
                 where=plan.where,
                 expected="a Gray code that covers the projector",
             )
-    elif len(axis.phases) == 1 and max(axis.phases) < size_px:
+        if axis.phases and max(axis.phases) < axis.cell_px:
+            raise ImpastoError(
+                f"Gray cells of {axis.cell_px} px do not tell the periods of {max(axis.phases):g} "
+                f"px along {name} apart",
+                where=plan.where,
+                expected="a finer Gray code, or a period of at least one cell",
+            )
+    elif (repeat := repeats_after(sorted(axis.phases), size_px)) < size_px:
         raise ImpastoError(
-            f"phase along {name} at the single period {max(axis.phases):g} px repeats itself",
+            f"phase along {name} at {', '.join(f'{p:g}' for p in sorted(axis.phases))} px repeats "
+            f"itself after {repeat:g} px",
             where=plan.where,
-            expected=f"Gray code, more periods, or a period of at least {size_px} px",
+            expected=f"Gray code, or periods that together tell {size_px} px apart",
         )
+
+
+def repeats_after(periods_px: list[float], size_px: int) -> float:
+    """Return the distance at which phases of all periods look alike again; ``size_px`` if none.
+
+    Alike means within ALIKE of each period, about what noise leaves in a phase.
+    """
+    first, *others = periods_px
+    for order in range(1, math.ceil(size_px / first)):
+        distance = order * first
+        if all(abs(distance / p - round(distance / p)) < ALIKE for p in others):
+            return distance
+    return size_px

@@ -23,10 +23,12 @@ _NEWTON_STEPS = 12
 
 @dataclass(frozen=True)
 class Triangulation:
-    """Depths along the camera's rays; (rows, columns), NaN where not determined.
+    """Points along the camera's rays; (rows, columns), NaN where not determined.
 
     Parameters
     ----------
+    points_mm
+        (rows, columns, 3) float32 in the scan's frame.
     depth_mm
         float64 z in the camera's frame.
     sigma_mm
@@ -38,6 +40,7 @@ class Triangulation:
         (rows, columns, 2) the unit vector that ``across_px`` is measured along, projector px.
     """
 
+    points_mm: Image
     depth_mm: NDArray[np.float64]
     sigma_mm: Image
     across_px: Image
@@ -55,22 +58,32 @@ def triangulate(
     Raises
     ------
     ImpastoError
-        The only coded axis lies along the baseline, so that no depth follows from it.
+        The only coded axis lies along the baseline, so that no depth follows from it; or the images
+        are not of the camera's size.
     """
-    directions = camera.lens.directions(camera.lens.pixel_grid())
     relative = projector.pose @ camera.pose.inverse()
-    missing = np.full(directions.shape[:2], np.nan, np.float32)
+    to_scan = camera.pose.inverse()
+    width, height = camera.lens.size_px
+    missing = np.full((height, width), np.nan, np.float32)
     axes = [
         missing if image is None else image
         for image in (coordinates.x, coordinates.y, coordinates.sigma_x, coordinates.sigma_y)
     ]
-    depth, sigma, residual, across, flat = _depths(
-        directions,
+    if any(image.shape != (height, width) for image in axes):
+        raise ImpastoError(
+            f"the frames are {axes[0].shape[1]} x {axes[0].shape[0]} px",
+            expected=f"{width} x {height} px, as the calibrated camera",
+        )
+    points, depth, sigma, residual, across, flat = _depths(
         *axes,
-        relative.rotation,
+        np.ascontiguousarray(camera.lens.K),
+        camera.lens.distortion,
+        np.ascontiguousarray(relative.rotation),
         relative.translation_mm,
-        projector.lens.K,
+        np.ascontiguousarray(projector.lens.K),
         projector.lens.distortion,
+        np.ascontiguousarray(to_scan.rotation),
+        to_scan.translation_mm,
         math.tan(SMALLEST_ANGLE),
     )
     if flat > 0 and not np.isfinite(depth).any():
@@ -80,20 +93,12 @@ def triangulate(
             expected="patterns along the other axis",
             fix="turn the patterns by 90 degrees, or code both axes",
         )
-    return Triangulation(depth, sigma, residual, across)
+    return Triangulation(points, depth, sigma, residual, across)
 
 
-def points(camera: Camera, depth_mm: NDArray[np.float64]) -> Image:
-    """Return the points (rows, columns, 3) float32 of depths, in the scan's frame, mm."""
-    directions = camera.lens.directions(camera.lens.pixel_grid())
-    in_camera = directions * depth_mm[..., None]
-    return camera.pose.inverse().apply(in_camera).astype(np.float32)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _project(x, y, z, K, distortion):  # type: ignore[no-untyped-def]
-    """Project; return u, v, their derivatives by the normalised coordinates, and those."""
-    a, b = x / z, y / z
+@njit(cache=True)
+def _bend(a, b, distortion):  # type: ignore[no-untyped-def]
+    """Distort (Brown 1971); return the result and its symmetric Jacobian."""
     k1, k2, p1, p2, k3 = distortion
     r2 = a * a + b * b
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -103,15 +108,57 @@ def _project(x, y, z, K, distortion):  # type: ignore[no-untyped-def]
     aa = radial + slope * a * a + 2 * p1 * b + 6 * p2 * a
     ab = slope * a * b + 2 * p1 * a + 2 * p2 * b
     bb = radial + slope * b * b + 2 * p2 * a + 6 * p1 * b
+    return bent_a, bent_b, aa, ab, bb
+
+
+@njit(cache=True)
+def _direction(column, row, K, distortion):  # type: ignore[no-untyped-def]
+    """Return the normalised direction of a pixel, NaN outside the lens's invertible field."""
+    target_b = (row - K[1, 2]) / K[1, 1]
+    target_a = (column - K[0, 2] - K[0, 1] * target_b) / K[0, 0]
+    a, b = target_a, target_b
+    for _ in range(_NEWTON_STEPS):
+        bent_a, bent_b, aa, ab, bb = _bend(a, b, distortion)
+        off_a, off_b = target_a - bent_a, target_b - bent_b
+        if abs(off_a) + abs(off_b) < 1e-13:
+            return a, b
+        determinant = aa * bb - ab * ab
+        if not determinant > 0.0:
+            break
+        a += (bb * off_a - ab * off_b) / determinant
+        b += (aa * off_b - ab * off_a) / determinant
+    return np.nan, np.nan
+
+
+@njit(cache=True)
+def _project(x, y, z, K, distortion):  # type: ignore[no-untyped-def]
+    """Project; return u, v, their derivatives by the normalised coordinates, and those."""
+    a, b = x / z, y / z
+    bent_a, bent_b, aa, ab, bb = _bend(a, b, distortion)
     u = K[0, 0] * bent_a + K[0, 1] * bent_b + K[0, 2]
     v = K[1, 1] * bent_b + K[1, 2]
     u_a, u_b = K[0, 0] * aa + K[0, 1] * ab, K[0, 0] * ab + K[0, 1] * bb
     return u, v, u_a, u_b, K[1, 1] * ab, K[1, 1] * bb, a, b
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
-def _depths(directions, x, y, sigma_x, sigma_y, R, t, K, distortion, smallest):  # type: ignore[no-untyped-def]
+@njit(cache=True, parallel=True)
+def _depths(  # type: ignore[no-untyped-def]
+    x,
+    y,
+    sigma_x,
+    sigma_y,
+    camera_K,
+    camera_distortion,
+    R,
+    t,
+    K,
+    distortion,
+    back_R,
+    back_t,
+    smallest,
+):
     rows, columns = x.shape
+    points = np.full((rows, columns, 3), np.nan, np.float32)
     depth = np.full((rows, columns), np.nan)
     sigma = np.full((rows, columns), np.nan, np.float32)
     residual = np.full((rows, columns), np.nan, np.float32)
@@ -127,10 +174,10 @@ def _depths(directions, x, y, sigma_x, sigma_y, R, t, K, distortion, smallest): 
                 weight_y = 1.0 / sigma_y[row, column] ** 2
             if weight_x + weight_y == 0.0:
                 continue
-            d = directions[row, column]
-            q0 = R[0, 0] * d[0] + R[0, 1] * d[1] + R[0, 2] * d[2]
-            q1 = R[1, 0] * d[0] + R[1, 1] * d[1] + R[1, 2] * d[2]
-            q2 = R[2, 0] * d[0] + R[2, 1] * d[1] + R[2, 2] * d[2]
+            d0, d1 = _direction(column, row, camera_K, camera_distortion)
+            q0 = R[0, 0] * d0 + R[0, 1] * d1 + R[0, 2]
+            q1 = R[1, 0] * d0 + R[1, 1] * d1 + R[1, 2]
+            q2 = R[2, 0] * d0 + R[2, 1] * d1 + R[2, 2]
             # Without distortion (q z + t) lies on a = constant: linear in z, weighted by axis.
             upper = lower = 0.0
             if weight_x > 0:
@@ -166,7 +213,7 @@ def _depths(directions, x, y, sigma_x, sigma_y, R, t, K, distortion, smallest): 
                     break
             if not settled:
                 continue
-            length = math.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
+            length = math.sqrt(d0 * d0 + d1 * d1 + 1.0)
             seen_x = along_x if weight_x > 0 else 0.0
             seen_y = along_y if weight_y > 0 else 0.0
             # Projector px per relative change of depth, over the focal length: the ray's angle.
@@ -174,9 +221,12 @@ def _depths(directions, x, y, sigma_x, sigma_y, R, t, K, distortion, smallest): 
                 flat[row] += 1
                 continue
             depth[row, column] = z
+            for i in range(3):
+                along = back_R[i, 0] * d0 + back_R[i, 1] * d1 + back_R[i, 2]
+                points[row, column, i] = along * z + back_t[i]
             sigma[row, column] = length / math.sqrt(information)
             if weight_x > 0 and weight_y > 0:
                 norm = math.hypot(along_x, along_y)
                 across[row, column, 0], across[row, column, 1] = -along_y / norm, along_x / norm
                 residual[row, column] = (along_x * off_y - along_y * off_x) / norm
-    return depth, sigma, residual, across, flat.sum()
+    return points, depth, sigma, residual, across, flat.sum()

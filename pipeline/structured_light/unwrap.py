@@ -40,10 +40,13 @@ def unwrap_by_cells(
     -------
     The coordinate (px, NaN outside the projector), and its distance from the expected place.
     """
-    return _by_cells(wrapped, period_px, cell, doubt, neighbour, cell_px, size_px)  # type: ignore[no-any-return]
+    found: tuple[Image, Image] = _by_cells(
+        wrapped, period_px, cell, doubt, neighbour, cell_px, size_px
+    )
+    return found
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _by_cells(wrapped, period, cell, doubt, neighbour, cell_px, size):  # type: ignore[no-untyped-def]
     rows, columns = wrapped.shape
     coordinate = np.full((rows, columns), np.nan, np.float32)
@@ -60,6 +63,26 @@ def _by_cells(wrapped, period, cell, doubt, neighbour, cell_px, size):  # type: 
                 coordinate[row, column] = found
                 away[row, column] = abs(found - expected)
     return coordinate, away
+
+
+def refine(
+    coordinate: Image, sigma: Image, wrapped: Image, wrapped_sigma: Image, period_px: float
+) -> tuple[Image, Image]:
+    """Unwrap a shorter period by a known coordinate, and average the two by their variances.
+
+    Where the longer period is too unsure to choose an order, it is kept as it is.
+    """
+    period = np.float32(period_px)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        apart = wrapped - coordinate
+        apart -= period * np.floor(apart / period + np.float32(0.5))
+        weight = 1 / wrapped_sigma**2
+        share = weight / (weight + 1 / sigma**2)
+        sure = 3 * np.hypot(sigma, wrapped_sigma) < 0.5 * period
+    share = np.where(sure & np.isfinite(apart), share, 0)
+    apart = np.where(share > 0, apart, 0)
+    spread = np.where(share > 0, wrapped_sigma * np.sqrt(share), sigma)
+    return (coordinate + share * apart).astype(np.float32), spread.astype(np.float32)
 
 
 def unwrap_by_periods(
@@ -81,10 +104,11 @@ def unwrap_by_periods(
     -------
     The weighted mean of all periods' coordinates, and its standard deviation.
     """
-    return _by_periods(wrapped, sigma, periods_px, size_px, _CLEAR_MARGIN)  # type: ignore[no-any-return]
+    found: tuple[Image, Image] = _by_periods(wrapped, sigma, periods_px, size_px, _CLEAR_MARGIN)
+    return found
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _by_periods(wrapped, sigma, periods, size, clear):  # type: ignore[no-untyped-def]
     count, rows, columns = wrapped.shape
     coordinate = np.full((rows, columns), np.nan, np.float32)
@@ -134,7 +158,7 @@ def repair_jumps(coordinate: Image, period_px: float) -> tuple[Image, int]:
     return repaired, int(shifted)
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _repair(coordinate, period):  # type: ignore[no-untyped-def]
     rows, columns = coordinate.shape
     repaired = coordinate.copy()
@@ -143,6 +167,14 @@ def _repair(coordinate, period):  # type: ignore[no-untyped-def]
         around = np.empty(24, np.float32)
         for column in range(columns):
             here = coordinate[row, column]
+            torn = (row > 0 and abs(coordinate[row - 1, column] - here) > 0.5 * period) or (
+                row + 1 < rows and abs(coordinate[row + 1, column] - here) > 0.5 * period
+            )
+            torn |= (column > 0 and abs(coordinate[row, column - 1] - here) > 0.5 * period) or (
+                column + 1 < columns and abs(coordinate[row, column + 1] - here) > 0.5 * period
+            )
+            if not torn:
+                continue
             n = 0
             for r in range(max(row - 2, 0), min(row + 3, rows)):
                 for c in range(max(column - 2, 0), min(column + 3, columns)):
