@@ -110,6 +110,17 @@ def slopes(canvas: Array, known: Mask, sampling: Sampling, sigma_px: float) -> t
     return found[0], found[1]
 
 
+def link_ends(links: tuple[Mask, Mask], shape: tuple[int, int]) -> Mask:
+    """Return the pixels at either end of a marked link, across or down."""
+    across, down = links
+    marked = np.zeros(shape, bool)
+    marked[:, :-1] |= across
+    marked[:, 1:] |= across
+    marked[:-1] |= down
+    marked[1:] |= down
+    return marked
+
+
 def _pairs(mask: Mask, axis: int) -> Mask:
     """Return which neighbours are both in the mask."""
     first = np.take(mask, range(mask.shape[axis] - 1), axis)
