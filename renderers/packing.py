@@ -106,10 +106,10 @@ def pack_whole_box(asset: Asset) -> NDArray[np.void]:
     )
 
 
-def pack_boxes(
+def drawn_alphas(
     asset: Asset, tops_mm: NDArray[np.floating], view: View, adaptive: Adaptive | None
-) -> NDArray[np.void]:
-    """Pack the boxes to draw: the opaque ones, then the blended ones from far to near.
+) -> NDArray[np.float32]:
+    """Return the opacity of each box in this view, (N,); 0 where nothing rises above d0.
 
     Parameters
     ----------
@@ -123,7 +123,15 @@ def pack_boxes(
         alpha = np.ones(len(boxes), np.float32)
     else:
         alpha = box_alphas(boxes, asset.spacing_mm, view, adaptive)
-    drawn = (alpha > 0) & (tops_mm > boxes.d0_mm)
+    return np.where(tops_mm > boxes.d0_mm, alpha, np.float32(0))
+
+
+def pack_boxes(
+    asset: Asset, tops_mm: NDArray[np.floating], alpha: NDArray[np.float32], view: View
+) -> NDArray[np.void]:
+    """Pack the boxes to draw: the opaque ones, then the blended ones from far to near."""
+    boxes = asset.boxes
+    drawn = alpha > 0
     listed = _pack(
         asset.spacing_mm,
         boxes.position[drawn].astype(np.float64),
@@ -135,6 +143,18 @@ def pack_boxes(
     centre = (listed["low"] + listed["high"]) / 2
     distance = np.linalg.norm(centre - view.camera.centre_mm, axis=-1)
     return listed[np.lexsort((-distance, listed["alpha"] < 1))]
+
+
+def opaque_patches(asset: Asset, alpha: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Mark with 255 the patches, by their first sample, that lie in an opaque box."""
+    marked = np.zeros(asset.heights_mm.shape, np.uint8)
+    opaque = alpha == 1
+    ends = asset.boxes.position + asset.boxes.size
+    for (column, row), (last_column, last_row) in zip(
+        asset.boxes.position[opaque], ends[opaque], strict=True
+    ):
+        marked[row:last_row, column:last_column] = 255
+    return marked
 
 
 def box_tops(asset: Asset) -> Array:

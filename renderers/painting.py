@@ -37,7 +37,7 @@ from renderers.view import Light, View
 Method = Literal["hybrid", "bump", "relief", "mesh"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
-_HOLE = np.float32(-1e9)  # height of a sample outside the canvas; see intersect.wgsl
+_HOLE = np.float32(-1e30)  # outside the canvas: even a 1e-14th of it is below HOLE_LIMIT
 _NOTHING = (-1e9, -1e9, 0, 0)  # place on the grid of a pixel that sees no canvas
 _BOX_VERTICES = 14
 
@@ -125,11 +125,16 @@ class Painting:
         if min(self.asset.heights_mm.shape) < 2:  # no patch, nothing to see
             return np.zeros((height, width, 4), np.float32)
 
+        asset, tops = self.asset, self._box_tops
         boxes = np.zeros(0, packing.BOX)
+        alpha = np.zeros(len(tops), np.float32)
         if method == "relief":
-            boxes = packing.pack_whole_box(self.asset)
+            boxes = packing.pack_whole_box(asset)
         elif method == "hybrid":
-            boxes = packing.pack_boxes(self.asset, self._box_tops, view, options.adaptive)
+            alpha = packing.drawn_alphas(asset, tops, view, options.adaptive)
+            boxes = packing.pack_boxes(asset, tops, alpha, view)
+        hidden = packing.opaque_patches(asset, alpha)[..., None]
+        opaque_boxes = upload_texture(self.adapter.device, "opaque boxes", hidden, "r8unorm")
         lamps, scale = packing.pack_lamps(self.asset, lights)
 
         side = round(options.samples**0.5)
@@ -137,7 +142,7 @@ class Painting:
         total = np.zeros((height, width, 4))
         for y, x in product(offsets, offsets):
             frame = packing.pack_frame(self.asset, view, (x, y), len(lights), options.shadows)
-            total += self._draw_once(frame, lamps, boxes, method, view.size_px)
+            total += self._draw_once(frame, lamps, boxes, opaque_boxes, method, view.size_px)
         total /= options.samples
         total[..., :3] *= scale
         return total.astype(np.float32)
@@ -147,6 +152,7 @@ class Painting:
         frame: NDArray[np.void],
         lamps: NDArray[np.void],
         boxes: NDArray[np.void],
+        opaque_boxes: Any,
         method: Method,
         size_px: tuple[int, int],
     ) -> NDArray[np.floating]:
@@ -159,6 +165,7 @@ class Painting:
             upload_buffer(device, lamps),
             upload_buffer(device, boxes),
             *self._textures,
+            opaque_boxes,
         ]
         group = device.create_bind_group(
             layout=pipelines.layout,

@@ -38,6 +38,7 @@ struct Box {
 @group(0) @binding(6) var specular: texture_2d<f32>;
 @group(0) @binding(7) var lobe: texture_2d<f32>;
 @group(0) @binding(8) var ceilings: texture_2d<f32>;
+@group(0) @binding(9) var opaque_boxes: texture_2d<f32>;  // 1 where a patch lies in one
 @group(1) @binding(0) var visible: texture_2d<f32>;
 
 const NOTHING: f32 = -1.0e6;  // places on the grid left of it: the pixel sees no canvas
@@ -80,7 +81,12 @@ fn plane_fragment(@builtin(position) position: vec4f) -> Seen {
     let t = (frame.plane - frame.camera.z) / ray.z;
     if (!(t > 0.0)) { discard; }
     let grid = to_grid(frame.camera + t * ray).xy;
-    if (height_at(grid) < HOLE_LIMIT) { discard; }
+    let height = height_at(grid);
+    if (height < HOLE_LIMIT) { discard; }
+    // Under relief that is drawn itself, the plane could be seen only through the open edge.
+    let first_sample = vec2i(clamp(grid, vec2f(0.0), frame.last_sample - 1.0));
+    let boxed = textureLoad(opaque_boxes, first_sample, 0).r > 0.5;
+    if (boxed && height > frame.plane) { discard; }
     return Seen(grid, frame.near / t);
 }
 
@@ -110,13 +116,13 @@ fn hit_in_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> f32 {
     let side = side_of(origin + enter * direction);
     if (side == BELOW) {
         // Entered under the surface. If the ray came to the canvas above it, it has met the
-        // surface on its way: this is a step between boxes, closed with a wall. Else it came in
-        // at the canvas's open edge.
+        // surface on its way: a wall stands here, in case what it met is not drawn. Else it came
+        // in at the canvas's open edge.
         let field = clip_to_box(
             origin, direction, vec3f(0.0, 0.0, frame.bottom), vec3f(frame.last_sample, frame.top)
         );
         let first = clamp(field.x, 0.0, enter);
-        if (side_of(origin + first * direction) != BELOW) { return enter; }
+        if (side_of(origin + first * direction) == ABOVE) { return enter; }
     }
     return first_hit(origin, direction, enter, span.y, side);
 }
@@ -143,8 +149,12 @@ fn box_fragment(vertex: BoxVertex) -> Seen {
 @fragment
 fn blended_box_fragment(vertex: BoxVertex) -> Painted {
     let seen = see_box(vertex);
-    if (seen.z == MISS) { discard; }
-    let colour = vec4f(shade(seen.xy, height_at(seen.xy)), boxes[vertex.index].alpha);
+    var colour = vec4f(0.0);
+    if (seen.z == MISS) {
+        discard;  // the invocation may go on, and must not shade
+    } else {
+        colour = vec4f(shade(seen.xy, height_at(seen.xy)), boxes[vertex.index].alpha);
+    }
     return Painted(colour, frame.near / seen.z);
 }
 
@@ -186,6 +196,6 @@ fn shade_vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
 @fragment
 fn shade_fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let grid = textureLoad(visible, vec2i(position.xy), 0).xy;
-    if (grid.x < NOTHING) { discard; }
+    if (grid.x < NOTHING) { return vec4f(0.0); }
     return vec4f(shade(grid, height_at(grid)), 1.0);
 }

@@ -67,7 +67,7 @@ def painting_pipelines(adapter: Adapter, blends: bool) -> Pipelines:
     stages = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
     buffers = ("uniform", "read-only-storage", "read-only-storage")
     texture = {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d"}}
-    resources = [*({"buffer": {"type": kind}} for kind in buffers), *[texture] * 6]
+    resources = [*({"buffer": {"type": kind}} for kind in buffers), *[texture] * 7]
     layout = device.create_bind_group_layout(
         entries=[{"binding": i, "visibility": stages, **r} for i, r in enumerate(resources)]
     )

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pipeline.errors import UsageError
 from renderers.adaptive import Adaptive, box_alphas
-from renderers.packing import BOX, box_tops, pack_boxes
+from renderers.packing import BOX, box_tops, drawn_alphas, pack_boxes
 from renderers.view import orbit_view
 
 
@@ -15,6 +15,11 @@ def bump(height: float = 2.0) -> np.ndarray:
     heights = np.zeros((33, 33))
     heights[16, 16] = height
     return heights
+
+
+def listed(asset, view, adaptive):
+    tops = box_tops(asset)
+    return pack_boxes(asset, tops, drawn_alphas(asset, tops, view, adaptive), view)
 
 
 @given(
@@ -60,7 +65,7 @@ def test_no_boxes(make_asset):
     asset = make_asset(np.zeros((9, 9)), d0=1.0)
     view = orbit_view(asset)
     assert len(box_alphas(asset.boxes, 0.5, view, Adaptive())) == 0
-    assert pack_boxes(asset, box_tops(asset), view, Adaptive()).dtype == BOX
+    assert listed(asset, view, Adaptive()).dtype == BOX
 
 
 def test_blended_boxes_follow_the_opaque_ones_from_far_to_near(make_asset):
@@ -68,12 +73,12 @@ def test_blended_boxes_follow_the_opaque_ones_from_far_to_near(make_asset):
     heights[16, 8::16] = np.linspace(0.6, 4.0, 8)
     asset = make_asset(heights, d0=0.5)
     view = orbit_view(asset, azimuth_deg=0, elevation_deg=30, distance_mm=200)
-    listed = pack_boxes(asset, box_tops(asset), view, Adaptive(K=100, e_min=0.1, e_max=2.0))
-    blended = listed["alpha"] < 1
+    drawn = listed(asset, view, Adaptive(K=100, e_min=0.1, e_max=2.0))
+    blended = drawn["alpha"] < 1
     assert blended.any()
     assert not blended.all()
     assert (np.diff(blended.astype(int)) >= 0).all()
-    centre = (listed["low"] + listed["high"])[blended] / 2
+    centre = (drawn["low"] + drawn["high"])[blended] / 2
     assert (np.diff(np.linalg.norm(centre - view.camera.centre_mm, axis=-1)) <= 0).all()
 
 

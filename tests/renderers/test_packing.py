@@ -103,6 +103,17 @@ def test_boxes_whose_surface_lies_below_d0_are_left_out(make_asset):
     heights[4, 4] = 1.0
     asset = make_asset(heights, d0=0.5, cell=16)
     view = orbit_view(asset)
-    assert len(packing.pack_boxes(asset, np.array([1.0]), view, None)) == 1
-    assert len(packing.pack_boxes(asset, np.array([0.5]), view, None)) == 0
-    assert len(packing.pack_boxes(asset, np.array([-np.inf]), view, None)) == 0
+    for top, expected in ((1.0, 1.0), (0.5, 0.0), (-np.inf, 0.0)):
+        assert packing.drawn_alphas(asset, np.array([top]), view, None) == [expected]
+
+
+def test_opaque_patches_are_those_of_opaque_boxes(make_asset):
+    heights = np.zeros((17, 33))
+    heights[4, 4] = heights[4, 25] = 1.0
+    asset = make_asset(heights, d0=0.5, cell=16)
+    marked = packing.opaque_patches(asset, np.array([1.0, 0.7], np.float32))
+    expected = np.zeros((17, 33), np.uint8)
+    expected[:16, :16] = 255
+    np.testing.assert_array_equal(marked, expected)
+    marked = packing.opaque_patches(asset, np.array([0.0, 1.0], np.float32))
+    np.testing.assert_array_equal(marked, np.roll(expected, 16, axis=1))

@@ -355,3 +355,20 @@ def test_lens_distortion_is_left_to_the_reference(make_asset, adapter):
 def test_samples_must_fill_a_grid(samples):
     with pytest.raises(UsageError, match="square"):
         PaintOptions(samples=samples)
+
+
+@pytest.mark.parametrize("method", ["hybrid", "relief"])
+def test_nothing_is_seen_beyond_a_ragged_edge(make_asset, adapter, method):
+    """Rays that pass under an open edge must meet neither walls, nor the plane, nor the rim."""
+    rng = np.random.default_rng(5)
+    heights = strokes() + rng.normal(0, 0.05, (97, 129))
+    mask = ndimage.gaussian_filter(rng.normal(size=heights.shape), 3) > -0.15
+    mask[:9] = mask[:, :5] = mask[-7:] = mask[:, -8:] = False
+    asset = make_asset(heights, mask=mask, d0=float(heights.min()) - 0.01, cell=8)
+    view = orbit_view(asset, azimuth_deg=-60, elevation_deg=15, size_px=(240, 180))
+    lights = [arc_light(asset)]
+    image = Painting(asset, adapter).draw(view, lights, method, EVERY_BOX)
+    reference = render_reference(asset, view, lights)
+    seen, there = image[..., 3] > 0.5, reference[..., 3] > 0.5
+    assert np.count_nonzero(seen & ~there) <= 2
+    assert np.count_nonzero(there & ~seen) < 0.02 * np.count_nonzero(there)
