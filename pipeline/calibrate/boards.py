@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from pipeline.formats.capture import Board, Charuco, Chessboard
 
 LARGEST_WINDOW, SMALLEST_WINDOW = 11, 2
+"""Half sides of the refinement's window, px."""
+
+Found = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Board points (N, 3) and pixels (N, 2)."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def board_points(board: Board) -> NDArray[np.float64]:
     return np.asarray(flat * board.square_mm, dtype=np.float64)
 
 
-def _chessboard(image: NDArray[np.uint8], board: Chessboard):
+def _chessboard(image: NDArray[np.uint8], board: Chessboard) -> Found | None:
     found, pixels = cv2.findChessboardCornersSB(
         image, board.inner_corners, flags=cv2.CALIB_CB_EXHAUSTIVE
     )
@@ -78,7 +82,7 @@ def _chessboard(image: NDArray[np.uint8], board: Chessboard):
     return board_points(board), pixels.reshape(-1, 2).astype(np.float64)
 
 
-def _charuco(image: NDArray[np.uint8], board: Charuco):
+def _charuco(image: NDArray[np.uint8], board: Charuco) -> Found | None:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     pattern = cv2.aruco.CharucoBoard(board.squares, board.square_mm, board.marker_mm, dictionary)
     pixels, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(image)

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 POSE_PARAMETERS = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z")
 
-WORST_CONDITION = 1e7
+WORST_CONDITION = 1e5
 """Of the scaled Jacobian: beyond it the views do not determine all parameters."""
 
 _HUBER = 2.0

@@ -7,13 +7,19 @@ from numpy.typing import NDArray
 
 from pipeline.structured_light.coordinates import ProjectorCoordinates
 
+Array = NDArray[np.float64]
+
 REACH = 0.7
 """Radius of the neighbourhood, in distances between corners."""
+
 FEWEST = 24
+"""Decoded pixels around a corner, for six coefficients."""
+
+_HUBER = 2.0
 
 
-def projector_corners(coordinates: ProjectorCoordinates, pixels: NDArray[np.float64]):
-    """Return (N, 2) projector coordinates of the corners and their standard deviations.
+def projector_corners(coordinates: ProjectorCoordinates, pixels: Array) -> tuple[Array, Array]:
+    """Return (N, 2) projector coordinates of corners (N, 2) px, and their standard deviations.
 
     A quadratic in the camera's pixels is fitted robustly to the coordinates around each corner
     (Moreno and Taubin 2012 fit a homography, which this equals to second order); NaN where fewer
@@ -34,10 +40,15 @@ def projector_corners(coordinates: ProjectorCoordinates, pixels: NDArray[np.floa
     return values, sigmas
 
 
-def _fit(image, sigma, corner, reach):
+def _fit(
+    image: NDArray[np.float32], sigma: NDArray[np.float32], corner: Array, reach: float
+) -> tuple[float, float]:
+    """Fit the quadratic around one corner; return its value there and the standard deviation."""
     rows, columns = image.shape
     left, right = max(int(corner[0] - reach), 0), min(int(corner[0] + reach) + 2, columns)
     top, bottom = max(int(corner[1] - reach), 0), min(int(corner[1] + reach) + 2, rows)
+    if left >= right or top >= bottom:
+        return np.nan, np.nan
     y, x = np.mgrid[top:bottom, left:right]
     dx, dy = (x - corner[0]) / reach, (y - corner[1]) / reach
     value = image[top:bottom, left:right].astype(np.float64)
@@ -57,6 +68,6 @@ def _fit(image, sigma, corner, reach):
             return np.nan, np.nan
         residual = (value - design @ solution) / spread
         scale = 1.4826 * np.median(np.abs(residual)) + 1e-9
-        weight = 1 / spread**2 / np.maximum(1.0, np.abs(residual) / (2 * scale))
+        weight = 1 / spread**2 / np.maximum(1.0, np.abs(residual) / (_HUBER * scale))
     covariance = np.linalg.inv(normal)
-    return solution[0], max(scale, 1.0) * np.sqrt(covariance[0, 0])
+    return float(solution[0]), float(max(scale, 1.0) * np.sqrt(covariance[0, 0]))
