@@ -59,7 +59,8 @@ def render_reference(
                 image[top : top + len(rows)] += _shade(
                     asset, caster, heights, view.camera, lights, pixels, shadows
                 )
-    return (image / side**2).astype(np.float32)
+    mean: NDArray[np.float32] = (image / side**2).astype(np.float32)
+    return mean
 
 
 def reference_depth(asset: Asset, view: View) -> Array:

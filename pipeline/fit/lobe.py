@@ -76,7 +76,7 @@ def fit_lobes(
     return _fit_all(brdf, points_mm, normals, view_mm, light_mm, STARTS)  # type: ignore[no-any-return]
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _fit_all(brdf, points, normals, view, light, starts):  # type: ignore[no-untyped-def]
     photos, rows, columns, _ = brdf.shape
     parameters = np.full((rows, columns, 9), np.nan, np.float32)
@@ -101,7 +101,7 @@ def _fit_all(brdf, points, normals, view, light, starts):  # type: ignore[no-unt
     return parameters, residual, count, observed
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _gather(brdf, points, normals, view, light, row, column, across, along, values, weights):  # type: ignore[no-untyped-def]
     """Collect a texel's samples: v_x l_x + v_y l_y, v_z l_z, RGB, and a weight of irradiance.
 
@@ -133,7 +133,7 @@ def _gather(brdf, points, normals, view, light, row, column, across, along, valu
     return n
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def fit_texel(across, along, values, weights, starts):  # type: ignore[no-untyped-def]
     """Fit one texel; return its nine parameters, the RMS residual, and if the lobe was observed."""
     n = len(across)
@@ -162,7 +162,7 @@ def fit_texel(across, along, values, weights, starts):  # type: ignore[no-untype
     return result, math.sqrt(cost / (3.0 * n)), False
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _robust_lobe(across, along, values, unit, starts):  # type: ignore[no-untyped-def]
     """Iterate the lobe under Cauchy weights; shadow edges and interreflections are outliers."""
     costs = np.empty(len(starts))
@@ -171,7 +171,7 @@ def _robust_lobe(across, along, values, unit, starts):  # type: ignore[no-untype
         _, costs[start] = _linear(g, values, unit)
     best_p, best_log_k, best_cost = 0.0, 0.0, np.inf
     for _ in range(2):
-        start = np.argmin(costs)
+        start = int(np.argmin(costs))
         costs[start] = np.inf
         p, log_k, cost = _levenberg(
             across, along, values, unit, starts[start, 0], math.log(starts[start, 1]), _STEPS
@@ -199,7 +199,7 @@ def _robust_lobe(across, along, values, unit, starts):  # type: ignore[no-untype
     return best_p, best_log_k, robust
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _levenberg(across, along, values, weights, p, log_k, steps):  # type: ignore[no-untyped-def]
     g, peak = _lobe(across, along, p, log_k)
     linear, cost = _linear(g, values, weights)
@@ -235,7 +235,7 @@ def _levenberg(across, along, values, weights, p, log_k, steps):  # type: ignore
     return p, log_k, cost
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _lobe(across, along, p, log_k):  # type: ignore[no-untyped-def]
     """Return b^k with its peak scaled to 1, and the bracket's largest value before scaling."""
     peak, k = max(1.0, abs(p)), math.exp(log_k)
@@ -247,7 +247,7 @@ def _lobe(across, along, p, log_k):  # type: ignore[no-untyped-def]
     return g, peak
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _linear(g, values, weights):  # type: ignore[no-untyped-def]
     """Solve rho_d, rho_s of each colour by non-negative least squares; return both and the cost."""
     linear, cost = np.zeros(6), 0.0
@@ -271,7 +271,7 @@ def _linear(g, values, weights):  # type: ignore[no-untyped-def]
     return linear, cost
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _normal_equations(across, along, values, weights, p, log_k, g, peak, linear):  # type: ignore[no-untyped-def]
     """Return the 2 x 2 normal matrix (a, b on its diagonal, c off it) and the descent direction.
 

@@ -82,7 +82,7 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:  # noqa: ARG001 - 
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> float:
-    return float(np.count_nonzero(part & whole) / max(1, np.count_nonzero(whole)))
+    return int(np.count_nonzero(part & whole)) / max(1, int(np.count_nonzero(whole)))
 
 
 STAGE = Stage("fit", version=1, inputs=Inputs, outputs=Outputs, config=Config, run=run)

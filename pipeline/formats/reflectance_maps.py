@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +127,7 @@ def _save_maps(workspace: Path, maps: ReflectanceMaps) -> None:
     write_exr(diffuse, dict(zip("RGB", np.moveaxis(maps.diffuse, 2, 0), strict=True)))
     write_exr(specular, dict(zip("RGB", np.moveaxis(maps.specular, 2, 0), strict=True)))
     write_exr(lobe, dict(zip(("CXY", "CZ", "K"), np.moveaxis(maps.lobe, 2, 0), strict=True)))
-    channels = {
+    channels: dict[str, NDArray[Any]] = {
         "RESIDUAL": maps.residual,
         "COUNT": maps.count.astype(np.uint32),
         "OBSERVED": maps.lobe_observed.astype(np.uint32),

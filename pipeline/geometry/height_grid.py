@@ -31,7 +31,7 @@ def normals(heights_mm: NDArray[np.floating], spacing_mm: float) -> NDArray[np.f
     return _normals(np.ascontiguousarray(heights_mm, dtype=np.float64), spacing_mm)  # type: ignore[no-any-return]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _neighbour(heights, row, column, down, right):  # type: ignore[no-untyped-def]
     """Return a neighbour's height above the sample's."""
     rows, columns = heights.shape
@@ -43,7 +43,7 @@ def _neighbour(heights, row, column, down, right):  # type: ignore[no-untyped-de
     return 0.0
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _normals(heights, spacing):  # type: ignore[no-untyped-def]
     rows, columns = heights.shape
     result = np.full((rows, columns, 3), np.nan, np.float32)

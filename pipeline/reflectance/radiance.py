@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,7 +32,7 @@ def radiance(bundle: Bundle, photo: Photo) -> NDArray[np.float32]:
     value = bundle.read(photo.file)
     if value.ndim == 2:
         value = np.repeat(value[..., None], 3, axis=2)
-    saturated = grow_by_one((value >= SATURATED).any(axis=2))
+    saturated = grow_by_one(np.asarray((value >= SATURATED).any(axis=2)))
     dark = closest(bundle.capture, bundle.capture.darks, photo)
     if dark is not None:
         value = value - _as_rgb(bundle.read(dark.file))
@@ -57,7 +59,7 @@ def closest(
     wanted = photo.exposure_s
 
     def ratio(entry: Correction) -> float:
-        return abs(np.log((entry.exposure_s or wanted) / wanted))
+        return abs(math.log((entry.exposure_s or wanted) / wanted))
 
     return min(own, key=ratio)
 

@@ -51,7 +51,7 @@ def sample_photo(
     )
 
 
-@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True)
 def _sample(image, pixels, points, normals, centre, light, intensity):  # type: ignore[no-untyped-def]
     rows, columns = points.shape[:2]
     height, width = image.shape[:2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 import cv2
 import numpy as np
@@ -163,7 +163,7 @@ def pictures(entries: Sequence[tuple[Path, str]]) -> str:
     return html.section("renders", "Seen again", text, html.grid(figures, "pair"))
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
