@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import ImpastoError
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.capture import Sequence
-from pipeline.structured_light.circle import fit_circle, without_harmonic
+from pipeline.structured_light.circle import without_harmonic
 from pipeline.structured_light.coordinates import ProjectorCoordinates
 from pipeline.structured_light.frames import FrameReader, exposure
 from pipeline.structured_light.fringes import Fringes, solve_fringes
@@ -44,6 +44,9 @@ WORST_CHI2 = 30.0
 
 LEAST_GRAY_SCORE = 0.12
 """Without phase, a pixel whose weakest bit is less sure than this is left out."""
+
+SURE_DIFFERENCE = 6.0
+"""Standard deviations by which light and dark must differ where Gray code stands alone."""
 
 MOST_STEPS_WITH_HARMONIC = 6
 """More steps mistake only harmonics that no projector shows."""
@@ -115,6 +118,9 @@ class _Decoder:
         }
         self.white = reader.light(plan.white, noise)
         self.black = reader.light(plan.black, noise)
+        self.plain: Image | None = None
+        if self.white is not None and self.black is not None:
+            self.plain = self.white - self.black
         self.fringes: Fringes | None = None
         self.lit: Image | None = None
 
@@ -174,7 +180,7 @@ class _Decoder:
         for exposed in np.unique(seconds):
             same = seconds == exposed
             redundancy = max(redundancy, redundant(shifts[same]))
-            basis[same] = frame_basis(stack[same], shifts[same], self.reader.full_scale)
+            basis[same] = frame_basis(stack[same], shifts[same], self.reader.full_scale, self.plain)
         turned = np.arctan2(-basis[:, 2], basis[:, 1]) - shifts
         self._note(f"redundant_steps_{name}", redundancy, max)
         self._note(f"frame_brightness_spread_{name}", float(np.abs(basis[:, 0] - 1).max()), max)
@@ -201,11 +207,11 @@ class _Decoder:
         steps = evenly_spread(shifts)
         if not 3 <= steps <= MOST_STEPS_WITH_HARMONIC:
             return fringes
-        circle = fit_circle(fringes, (1, 2, steps))
-        if circle is None:
+        found = without_harmonic(fringes, self.plain, steps)
+        if found is None:
             return fringes
-        self._note(f"harmonic_{name}", abs(circle.harmonic[steps]), max)
-        return replace(fringes, phase=without_harmonic(fringes.phase, circle, steps))
+        self._note(f"harmonic_{name}", abs(found[1]), max)
+        return replace(fringes, phase=found[0])
 
     def _note(self, key: str, value: float, merge: Callable[[float, float], float]) -> None:
         self.statistics[key] = (
@@ -220,8 +226,8 @@ class _Decoder:
             certain &= ~(group.chi2 > WORST_CHI2)
         if self.minimum_modulation > 0 and certain.any():
             with np.errstate(invalid="ignore", divide="ignore"):
-                if self.white is not None and self.black is not None:
-                    contrast = 2 * groups[0].amplitude / (self.white - self.black)
+                if self.plain is not None:
+                    contrast = 2 * groups[0].amplitude / self.plain
                 else:
                     contrast = groups[0].amplitude / groups[0].offset
             usual = float(np.nanmedian(contrast[certain]))
@@ -272,8 +278,18 @@ class _Decoder:
             inverted = self.reader.light(axis.inverted.get(bit, []), self.noise, at_least=True)
             dark, bright = self._levels(plain, inverted, fringes)
             self.lit = bright if self.lit is None else np.fmax(self.lit, bright)
-            scores.append(bit_score(plain, inverted, dark, bright))
+            score = bit_score(plain, inverted, dark, bright)
+            if fringes is None:  # then nothing else will tell that no pattern reaches a pixel
+                score[~(bright - dark > self._faint(axis, bright))] = 0
+            scores.append(score)
         return cells(np.stack(scores))
+
+    def _faint(self, axis: AxisPlan, bright: Image) -> Image:
+        """Return the difference of light that noise alone can make."""
+        frames = [frame for group in (axis.plain, axis.inverted) for frame in group.get(0, [])]
+        seconds = np.float32(max(exposure(frame) for frame in frames))
+        variance = self.noise.shot * np.maximum(bright * seconds, 0) + self.noise.floor
+        return np.asarray(SURE_DIFFERENCE * np.sqrt(2 * variance) / seconds)
 
     def _levels(
         self, plain: Image | None, inverted: Image | None, fringes: Fringes | None

@@ -35,26 +35,45 @@ def evenly_spread(shifts: NDArray[np.float64]) -> int:
 
 
 def frame_basis(
-    stack: NDArray[np.number], shifts: NDArray[np.float64], full_scale: float
+    stack: NDArray[np.number],
+    shifts: NDArray[np.float64],
+    full_scale: float,
+    light: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float64]:
     """Find what frames of one exposure really showed: rows (1, cos, -sin)(shift), where ideal.
 
     A projector that flickers, or whose steps are not quite where they should be, gives
     y_n = a_n offset + c_n C + s_n S with other (a, c, s) than the nominal ones. Over many pixels
     the frames still span three dimensions, which the largest eigenvectors of y y^T are (Vargas,
-    Quiroga and Belenguer 2011); a robust fit of that space to the nominal rows turns it
-    (what most frames agree on is the measure of the others). With fewer frames than
-    FEWEST_FRAMES their brightness alone is estimated, and nothing without a redundant step.
+    Quiroga and Belenguer 2011), and what most frames agree on turns it into place. With fewer
+    frames than FEWEST_FRAMES their brightness alone is estimated, and nothing without a redundant
+    step. What residuals cannot tell is then found from the circle, see :mod:`.circle`.
+
+    Parameters
+    ----------
+    stack
+        (frames, rows, columns) stored values of one exposure.
+    shifts
+        (frames,) nominal phase of each, radians.
+    full_scale
+        The stored value that means 1.
+    light
+        (rows, columns) the projector's light without a pattern, where known.
+
+    Returns
+    -------
+    (frames, 3), near (1, cos, -sin) of the shifts.
     """
     basis = _from_residuals(stack[:, ::2, ::2], nominal_basis(shifts), full_scale)
     flat = NoiseModel(0.0, _FLAT, given=False)
+    plain = None if light is None else light[::2, ::2]
     sample = np.ascontiguousarray(stack[:, ::2, ::2])
     for _ in range(_ROUNDS):
         fringes = solve_fringes(sample, basis, np.ones(len(shifts)), full_scale, flat)
-        circle = fit_circle(fringes, (1, 2, len(shifts)))
+        circle = fit_circle(fringes, plain, (1, 2, len(shifts)))
         if circle is None or not (circle.harmonic[1] or circle.harmonic[2]):
             break
-        basis = rounded_basis(basis, circle)
+        basis = rounded_basis(basis, shifts, circle)
     return basis
 
 
@@ -77,12 +96,20 @@ def _from_residuals(
 
 
 def _turned(space: NDArray[np.float64], nominal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit a basis of three dimensions to the nominal rows, by least absolute row distances."""
+    """Turn a basis of three dimensions until its rows are the nominal ones times a gain each.
+
+    By least absolute row distances, so that single frames may be elsewhere; turn and gains in turn.
+    """
     weight = np.ones(len(nominal))
-    for _ in range(200):
+    gains = np.ones(len(nominal))
+    for _ in range(300):
         root = np.sqrt(weight)[:, None]
-        turn = np.linalg.lstsq(root * space, root * nominal, rcond=None)[0]
-        distance = np.linalg.norm(space @ turn - nominal, axis=1)
+        target = gains[:, None] * nominal
+        turn = np.linalg.lstsq(root * space, root * target, rcond=None)[0]
+        rows = space @ turn
+        gains = (rows * nominal).sum(axis=1) / (nominal * nominal).sum(axis=1)
+        gains /= gains.mean()
+        distance = np.linalg.norm(rows - gains[:, None] * nominal, axis=1)
         weight = 1 / np.maximum(distance, 1e-4)
     return np.asarray(space @ turn)
 

@@ -150,6 +150,8 @@ def _by_periods(wrapped, sigma, periods, size, clear):  # type: ignore[no-untype
 def repair_jumps(coordinate: Image, period_px: float) -> tuple[Image, int]:
     """Shift lone pixels by whole periods to where nearly all of their neighbours lie.
 
+    Neighbours are taken in opposite pairs, whose means the surface's slope does not move.
+
     Returns
     -------
     The repaired image, and how many pixels were shifted.
@@ -164,7 +166,7 @@ def _repair(coordinate, period):  # type: ignore[no-untyped-def]
     repaired = coordinate.copy()
     shifted = np.zeros(rows, np.int64)
     for row in prange(rows):
-        around = np.empty(24, np.float32)
+        around = np.empty(12, np.float32)
         for column in range(columns):
             here = coordinate[row, column]
             torn = (row > 0 and abs(coordinate[row - 1, column] - here) > 0.5 * period) or (
@@ -176,12 +178,18 @@ def _repair(coordinate, period):  # type: ignore[no-untyped-def]
             if not torn:
                 continue
             n = 0
-            for r in range(max(row - 2, 0), min(row + 3, rows)):
-                for c in range(max(column - 2, 0), min(column + 3, columns)):
-                    if (r != row or c != column) and math.isfinite(coordinate[r, c]):
-                        around[n] = coordinate[r, c]
-                        n += 1
-            if n < 12 or not math.isfinite(here):
+            for i in range(12):
+                # The half of the 5 x 5 neighbourhood after its centre, in reading order.
+                dr, dc = (i + 13) // 5 - 2, (i + 13) % 5 - 2
+                if not (row - dr >= 0 and row + dr < rows):
+                    continue
+                if not (0 <= column - dc < columns and 0 <= column + dc < columns):
+                    continue
+                pair = 0.5 * (coordinate[row - dr, column - dc] + coordinate[row + dr, column + dc])
+                if math.isfinite(pair):
+                    around[n] = pair
+                    n += 1
+            if n < 5 or not math.isfinite(here):
                 continue
             middle = np.median(around[:n])
             order = math.floor((middle - here) / period + 0.5)
@@ -190,7 +198,7 @@ def _repair(coordinate, period):  # type: ignore[no-untyped-def]
             close = 0
             for i in range(n):
                 close += abs(around[i] - middle) < 0.25 * period
-            if close > 0.8 * n:
+            if close > 0.7 * n:
                 repaired[row, column] = here + order * period
                 shifted[row] += 1
     return repaired, shifted.sum()
