@@ -116,7 +116,7 @@ def acquire(
     with _Writing(writer) as writing:
         try:
             for done, plan in enumerate(sequences):
-                progress(f"{plan.purpose} {plan.name}", done, len(sequences))
+                progress(f"sequences to {plan.purpose}", done, len(sequences))
                 entries["sequences"].append(_take_sequence(rig, writing, plan))
             for done, photo in enumerate(photos):
                 progress("photographs", done, len(photos))

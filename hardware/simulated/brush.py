@@ -64,15 +64,14 @@ def lay(layers: Layers, strokes: Strokes) -> None:
     brush levels wet paint; its edges bear the ridge that the brush pushes aside, its end the one
     that it leaves when lifted.
     """
-    for i in range(len(strokes.half_width)):
+    _lay_all(*layers, *strokes)
+
+
+@njit(cache=True)
+def _lay_all(relief, colour, gloss, path, half, thickness, tint, shine, bristles):  # type: ignore[no-untyped-def]
+    for i in range(len(half)):
         _lay_one(
-            *layers,
-            strokes.path[i],
-            strokes.half_width[i],
-            strokes.thickness[i],
-            strokes.colour[i],
-            strokes.gloss[i],
-            strokes.bristles[i],
+            relief, colour, gloss, path[i], half[i], thickness[i], tint[i], shine[i], bristles[i]
         )
 
 

@@ -13,7 +13,7 @@ from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
 
 Array = NDArray[np.float64]
 
-BOARD = Chessboard((9, 6), 13.0)
+BOARD = Chessboard((9, 6), 12.0)
 SCAN_CAMERA = "C0"
 _CENTRE_MM = np.array([4.0, -3.0, 14.0])
 _STATIONS = ((-90.0, 70.0), (15.0, 56.0), (150.0, 62.0), (-60.0, 42.0))
@@ -107,9 +107,9 @@ def _board_pose(number: int) -> RigidTransform:
     )
     around = 2.4 * number
     axis = np.array([np.cos(around), np.sin(around), 0.0])
-    tilted = rotation_about_axis(np.zeros(3), axis, (6.0, 24.0, 30.0, 27.0)[number % 4])
+    tilted = rotation_about_axis(np.zeros(3), axis, (8.0, 30.0, 38.0, 34.0)[number % 4])
     spun = turn_z(9.0 * np.sin(2.0 * number)) @ turn_z(180.0 * (number % 2))
-    place = np.array([13 * np.cos(3 * around), 9 * np.sin(2 * around), 22.0 + 14.0 * (number % 3)])
+    place = np.array([14 * np.cos(3 * around), 4 * np.sin(2 * around), 54.0 + 9.0 * (number % 3)])
     return RigidTransform(np.eye(3), place) @ tilted @ spun @ to_middle
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hardware.simulated.subjects import Hits, Subject
 from pipeline.formats.patterns import Pattern, Product, pattern_image
-from pipeline.geometry.camera import Camera
+from pipeline.geometry.camera import Camera, Lens
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -31,18 +31,21 @@ class Eye:
     """
 
     camera: Camera
-    samples: int
     origin_mm: Array
     directions: Array
 
 
-def open_eye(camera: Camera, samples: int) -> Eye:
-    """Prepare a camera's rays."""
-    pixels = camera.lens.pixel_grid()[:, :, None, None, :]
+def lens_rays(lens: Lens, samples: int) -> Array:
+    """Return the directions of a lens's rays in the camera's frame, in the order of an eye."""
+    pixels = lens.pixel_grid()[:, :, None, None, :]
     offset = (np.arange(samples) + 0.5) / samples - 0.5
     inside = np.stack(np.meshgrid(offset, offset), axis=-1)
-    origin, directions = camera.rays((pixels + inside).reshape(-1, 2))
-    return Eye(camera, samples, origin, directions)
+    return lens.directions((pixels + inside).reshape(-1, 2))
+
+
+def open_eye(camera: Camera, rays: Array) -> Eye:
+    """Point a lens's rays to where its camera looks."""
+    return Eye(camera, camera.centre_mm, camera.pose.inverse().rotate(rays))
 
 
 def reflected(hits: Hits, view_mm: Array, source_mm: Array, intensity: float) -> Image:

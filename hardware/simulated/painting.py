@@ -24,7 +24,7 @@ WALL_MM = 30.0
 
 HIGHEST_MM = 2.5
 _WEAVE_MM, _THREAD_MM, _RIDGE_MM = 0.03, 1.1, 0.8
-_STEP_MM, _POINTS = 1.0, 14
+_POINTS = 9
 
 Array = NDArray[np.float64]
 

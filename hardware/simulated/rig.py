@@ -15,6 +15,7 @@ from hardware.simulated.optics import (
     Image,
     Projection,
     Sensor,
+    lens_rays,
     open_eye,
     project,
     projected_image,
@@ -25,6 +26,7 @@ from hardware.simulated.optics import (
 from hardware.simulated.subjects import Subject
 from pipeline.errors import HardwareError
 from pipeline.formats.patterns import Pattern
+from pipeline.geometry.camera import Lens
 
 LAMP_SETTLES_S, PROJECTOR_SETTLES_S, OPERATOR_TAKES_S = 0.5, 0.1, 20.0
 TABLE_DEG_PER_S, CARRIAGE_MM_PER_S = 20.0, 150.0
@@ -86,6 +88,7 @@ class Bench:
         self.placed: str | None = None
         self._seed, self._frames = seed, 0
         self._eyes: dict[str, Eye] = {}
+        self._rays: tuple[Lens, NDArray[np.float64]] | None = None
         # The last of each only: a capture goes through states one after another.
         self._subject: tuple[object, Subject] | None = None
         self._projection: tuple[object, Projection] | None = None
@@ -105,7 +108,10 @@ class Bench:
     def eye(self, name: str) -> Eye:
         """Return a camera's rays."""
         if name not in self._eyes:
-            self._eyes[name] = open_eye(self.layout.cameras[name], self.physics.samples)
+            camera = self.layout.cameras[name]
+            if self._rays is None or self._rays[0] is not camera.lens:
+                self._rays = camera.lens, lens_rays(camera.lens, self.physics.samples)
+            self._eyes[name] = open_eye(camera, self._rays[1])
         return self._eyes[name]
 
     def subject(self) -> Subject:

@@ -24,7 +24,7 @@ from hardware.simulated.layout import (
     look_from,
 )
 from hardware.simulated.motif import CANVAS_MM
-from hardware.simulated.optics import Image, open_eye, see_by_lamp, spread
+from hardware.simulated.optics import Image, lens_rays, open_eye, see_by_lamp, spread
 from hardware.simulated.painting import FRAME_TOP_MM, Painting
 from hardware.simulated.rig import Physics
 from hardware.simulated.subjects import PaintedCanvas, PaintingOnTable
@@ -92,7 +92,7 @@ def _write_surface(folder: Path, painting: Painting) -> None:
 
 def _write_scan(folder: Path, layout: Layout, canvas: PaintedCanvas) -> None:
     camera = layout.cameras[SCAN_CAMERA]
-    eye = open_eye(camera, 1)
+    eye = open_eye(camera, lens_rays(camera.lens, 1))
     hits = PaintingOnTable(canvas, layout.rig_from_canvas).trace(eye.origin_mm, eye.directions)
     width, height = camera.lens.size_px
     depth = np.rint(camera.depth(hits.points_mm) * 1000)
@@ -111,13 +111,14 @@ def _write_tests(
     subject = PaintingOnTable(canvas, layout.rig_from_canvas)
     (folder / "photos").mkdir(exist_ok=True)
     lens = layout.cameras["C1"].lens
+    rays = lens_rays(lens, physics.samples)
     for number, (azimuth, elevation, lamp_azimuth, lamp_elevation) in enumerate(
         _TEST_PLACES[:count]
     ):
         centre = layout.rig_from_canvas.translation_mm
         camera = look_from(centre + _TEST_CAMERA_MM * direction(azimuth, elevation), lens)
         lamp = centre + _TEST_LAMP_MM * direction(lamp_azimuth, lamp_elevation)
-        eye = open_eye(camera, physics.samples)
+        eye = open_eye(camera, rays)
         seen = spread(see_by_lamp(eye, subject, lamp, physics.lamp_intensity), physics.spread_px)
         exposure_s = _exposure(seen, physics)
         file = f"photos/{number:03d}.png"

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pipeline.errors import UsageError
+
 if TYPE_CHECKING:
     from pipeline.report.truth import TruthErrors
 
@@ -35,7 +37,7 @@ MARK = "demo.json"
 @click.option(
     "--photos",
     type=click.IntRange(0, 1000),
-    default=30,
+    default=32,
     show_default=True,
     help="How many photographs the simulated rig takes; 0 leaves reflectance out.",
 )
@@ -68,23 +70,32 @@ def demo(out: Path, seed: int, photos: int) -> None:
 def capture(out: Path, seed: int, photos: int) -> None:
     """Let the simulated rig record a bundle and its truth, unless they are there already.
 
-    A mark, written last, says how the capture was made; without it a broken-off one is redone.
+    A mark says how the capture is made, and at last that it is complete: a broken-off one is made
+    again, and a folder that bears no mark is never touched.
+
+    Raises
+    ------
+    UsageError
+        There is a ``bundle`` or ``truth`` that this command did not make.
     """
-    from hardware.simulated.studio import Setting, record
-    from pipeline import __version__
+    from hardware.simulated.studio import VERSION, Setting, record
     from pipeline.formats.atomic import write_text_atomically
 
-    mark = out / MARK
-    wanted = {"version": __version__, "seed": seed, "photos": photos}
-    try:
-        if json.loads(mark.read_text(encoding="utf-8")) == wanted:
-            click.echo("capture    up to date")
-            return
-    except (OSError, ValueError):
-        pass
-    mark.unlink(missing_ok=True)
-    for folder in (out / "bundle", out / "truth"):
-        shutil.rmtree(folder, ignore_errors=True)
+    mark, folders = out / MARK, (out / "bundle", out / "truth")
+    wanted = {"version": VERSION, "seed": seed, "photos": photos}
+    found = read_mark(mark)
+    if found == wanted | {"complete": True} and all(folder.is_dir() for folder in folders):
+        click.echo("capture    up to date")
+        return
+    for folder in folders:
+        if folder.exists() and found is None:
+            raise UsageError(
+                f"{folder} was not made by impasto demo", fix="choose another folder with --out"
+            )
+    write_text_atomically(mark, json.dumps(wanted | {"complete": False}) + "\n")
+    for folder in folders:
+        if folder.exists():
+            shutil.rmtree(folder)
     started = time.perf_counter()
     shown = ""
 
@@ -94,9 +105,20 @@ def capture(out: Path, seed: int, photos: int) -> None:
             shown = what
             click.echo(f"capture    {what}" + (f" ({total})" if total > 1 else ""))
 
-    record(Setting(seed=seed, photos=photos), out / "bundle", out / "truth", progress)
-    write_text_atomically(mark, json.dumps(wanted) + "\n")
+    record(Setting(seed=seed, photos=photos), *folders, progress)
+    write_text_atomically(mark, json.dumps(wanted | {"complete": True}) + "\n")
     click.echo(f"capture    done in {time.perf_counter() - started:.1f} s")
+
+
+def read_mark(mark: Path) -> dict[str, object] | None:
+    """Return what the mark says; None without one."""
+    try:
+        found = json.loads(mark.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        found = {}
+    return found if isinstance(found, dict) else {}
 
 
 def show_errors(errors: TruthErrors) -> None:
