@@ -67,6 +67,11 @@ fn project(place: vec3f) -> vec4f {
     return frame.clip_from_canvas * vec4f(place, 1.0);
 }
 
+fn in_opaque_box(grid: vec2f) -> bool {
+    let first_sample = vec2i(clamp(grid, vec2f(0.0), frame.last_sample - 1.0));
+    return textureLoad(opaque_boxes, first_sample, 0).r > 0.5;
+}
+
 // ---- the plane at d0
 
 @vertex
@@ -84,9 +89,7 @@ fn plane_fragment(@builtin(position) position: vec4f) -> Seen {
     let height = height_at(grid);
     if (height < HOLE_LIMIT) { discard; }
     // Under relief that is drawn itself, the plane could be seen only through the open edge.
-    let first_sample = vec2i(clamp(grid, vec2f(0.0), frame.last_sample - 1.0));
-    let boxed = textureLoad(opaque_boxes, first_sample, 0).r > 0.5;
-    if (boxed && height > frame.plane) { discard; }
+    if (height > frame.plane && in_opaque_box(grid)) { discard; }
     return Seen(grid, frame.near / t);
 }
 
@@ -115,14 +118,18 @@ fn hit_in_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> f32 {
     if (span.y <= enter) { return MISS; }
     let side = side_of(origin + enter * direction);
     if (side == BELOW) {
-        // Entered under the surface. If the ray came to the canvas above it, it has met the
-        // surface on its way: a wall stands here, in case what it met is not drawn. Else it came
-        // in at the canvas's open edge.
         let field = clip_to_box(
             origin, direction, vec3f(0.0, 0.0, frame.bottom), vec3f(frame.last_sample, frame.top)
         );
         let first = clamp(field.x, 0.0, enter);
-        if (side_of(origin + first * direction) == ABOVE) { return enter; }
+        if (side_of(origin + first * direction) == ABOVE) {
+            // The ray has met the surface on its way, or gone under it through a hole. A wall
+            // stands here if it came through a box that is not drawn, which has left a step.
+            let back = 0.5 / max(length(direction.xy), 1.0e-20);
+            let came_from = (origin + (enter - back) * direction).xy;
+            return select(enter, MISS, in_opaque_box(came_from));
+        }
+        // Else it came in at the canvas's open edge, and may meet the surface from below.
     }
     return first_hit(origin, direction, enter, span.y, side);
 }
