@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 def normals(heights_mm: NDArray[np.floating], spacing_mm: float) -> NDArray[np.float32]:
     """Return the unit normals of the surface, in the canvas frame.
 
-    The sum of the area-weighted normals of the eight triangles around a sample; on a regular grid
-    that is Sobel's gradient. A neighbour that is missing, or lies beyond the border, is
-    extrapolated through the sample from the one opposite, and level if that is missing too.
+    The area-weighted mean of the normals of the up to eight triangles around a sample, those
+    with a missing corner left out; with all eight that is Sobel's gradient. The normals of a plane
+    are exact up to its borders and holes. Where there is no triangle (a single row, say) a slope
+    comes from the neighbours along its axis, and is 0 without any.
 
     Parameters
     ----------
@@ -32,15 +33,10 @@ def normals(heights_mm: NDArray[np.floating], spacing_mm: float) -> NDArray[np.f
 
 
 @njit(cache=True)
-def _neighbour(heights, row, column, down, right):  # type: ignore[no-untyped-def]
-    """Return a neighbour's height above the sample's."""
+def _height(heights, row, column):  # type: ignore[no-untyped-def]
+    """Return a height, NaN outside the field."""
     rows, columns = heights.shape
-    here = heights[row, column]
-    for sign in (1, -1):
-        r, c = row + sign * down, column + sign * right
-        if 0 <= r < rows and 0 <= c < columns and np.isfinite(heights[r, c]):
-            return sign * (heights[r, c] - here)
-    return 0.0
+    return heights[row, column] if 0 <= row < rows and 0 <= column < columns else np.nan
 
 
 @njit(cache=True, parallel=True)
@@ -49,18 +45,43 @@ def _normals(heights, spacing):  # type: ignore[no-untyped-def]
     result = np.full((rows, columns, 3), np.nan, np.float32)
     for row in prange(rows):
         for column in range(columns):
-            if not np.isfinite(heights[row, column]):
+            here = heights[row, column]
+            if not np.isfinite(here):
                 continue
-            by_x = by_y = 0.0
-            for side in (-1, 1):
-                for other in (-1, 0, 1):
-                    weight = 2.0 - abs(other)
-                    by_x += side * weight * _neighbour(heights, row, column, other, side)
-                    by_y -= side * weight * _neighbour(heights, row, column, side, other)
-            by_x, by_y = by_x / (8.0 * spacing), by_y / (8.0 * spacing)
-            length = np.sqrt(1.0 + by_x * by_x + by_y * by_y)
-            result[row, column, 0] = -by_x / length
-            result[row, column, 1] = -by_y / length
+            # Slopes towards greater columns and rows, summed over triangles and along the axes.
+            triangles, by_column, by_row = 0, 0.0, 0.0
+            beside, along, above, down = 0, 0.0, 0, 0.0
+            for i in (-1, 1):
+                rise = i * (_height(heights, row, column + i) - here)
+                fall = i * (_height(heights, row + i, column) - here)
+                if np.isfinite(rise):
+                    beside, along = beside + 1, along + rise
+                if np.isfinite(fall):
+                    above, down = above + 1, down + fall
+                for j in (-1, 1):
+                    corner = _height(heights, row + j, column + i)
+                    # The triangle over the neighbour in the row, and that over the one below.
+                    rest = j * (corner - here - i * rise)
+                    if np.isfinite(rest):
+                        triangles, by_column, by_row = (
+                            triangles + 1,
+                            by_column + rise,
+                            by_row + rest,
+                        )
+                    side = j * (_height(heights, row + j, column) - here)
+                    rest = i * (corner - here - j * side)
+                    if np.isfinite(rest):
+                        triangles, by_column, by_row = (
+                            triangles + 1,
+                            by_column + rest,
+                            by_row + side,
+                        )
+            if triangles == 0:
+                triangles, by_column, by_row = 1, along / max(beside, 1), down / max(above, 1)
+            x, y = -by_column / (triangles * spacing), by_row / (triangles * spacing)
+            length = np.sqrt(1.0 + x * x + y * y)
+            result[row, column, 0] = x / length
+            result[row, column, 1] = y / length
             result[row, column, 2] = 1.0 / length
     return result
 

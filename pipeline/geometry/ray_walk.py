@@ -228,27 +228,55 @@ def shorten(field, column, row, z, to_column, to_row, per_z, t0, t1, margin):  #
 
 
 @njit(cache=True, error_model="numpy")
+def locate(field, ray, t):  # type: ignore[no-untyped-def]
+    """Return column and row of the patch that the ray passes over at t, or the one before it."""
+    last_column, last_row = field.heights.shape[1] - 2, field.heights.shape[0] - 2
+    i = patch_index(ray.side_column + t * ray.to_column, last_column)
+    j = patch_index(ray.side_row + t * ray.to_row, last_row)
+    # Step back where rounding has put t behind a grid line that it has not crossed yet; a start
+    # on a line belongs to both sides.
+    enter_column = (float(i + 1 - ray.ahead_column) - ray.side_column) * ray.per_column
+    enter_row = (float(j + 1 - ray.ahead_row) - ray.side_row) * ray.per_row
+    if t < enter_column or t == 0.0 == enter_column:
+        i = min(max(i + 1 - 2 * ray.ahead_column, 0), last_column)
+    if t < enter_row or t == 0.0 == enter_row:
+        j = min(max(j + 1 - 2 * ray.ahead_row, 0), last_row)
+    return i, j
+
+
+@njit(cache=True, error_model="numpy")
+def hit_at(heights, i, j, ray, t_begin, t_end):  # type: ignore[no-untyped-def]
+    """Meet the patch at column i and row j; see :func:`patch_hit`."""
+    # Unsigned, for numba counts negative indices from the end.
+    m, n, m1, n1 = np.uintp(i), np.uintp(j), np.uintp(i + 1), np.uintp(j + 1)
+    return patch_hit(
+        np.float64(heights[n, m]),
+        np.float64(heights[n, m1]),
+        np.float64(heights[n1, m]),
+        np.float64(heights[n1, m1]),
+        i,
+        j,
+        ray,
+        t_begin,
+        t_end,
+    )
+
+
+@njit(cache=True, error_model="numpy")
 def walk(field, ray, t_begin, t_end, t0, t1, margin):  # type: ignore[no-untyped-def]
     """Walk [t0, t1], which lies in the field's [t_begin, t_end], front to back to the first hit."""
     heights, bounds, levels = field.heights, field.bounds, field.levels
-    last_column, last_row = heights.shape[1] - 2, heights.shape[0] - 2
     if not t0 <= t1:
         return MISS
     x, y, per_x, per_y = ray.side_column, ray.side_row, ray.per_column, ray.per_row
     ahead_x, ahead_y = ray.ahead_column, ray.ahead_row
     step_x, step_y = 2 * ahead_x - 1, 2 * ahead_y - 1
-    i = patch_index(x + t0 * ray.to_column, last_column)
-    j = patch_index(y + t0 * ray.to_row, last_row)
-    # Where rounding puts the start behind a grid line that it has not crossed yet, step back.
-    if t0 <= (float(i + 1 - ahead_x) - x) * per_x:
-        i = min(max(i - step_x, 0), last_column)
-    if t0 <= (float(j + 1 - ahead_y) - y) * per_y:
-        j = min(max(j - step_y, 0), last_row)
+    i, j = locate(field, ray, t0)
     top_level = levels.shape[0] - 1
     level = 0
     if t0 > 0.0:  # else the ray starts close to the surface, where small cells serve it better
         reach = max(abs(ray.to_column), abs(ray.to_row)) * (t1 - t0)
-        level = min(level_of(reach), top_level)
+        level = min(level_of(0.25 * reach), top_level)
         i >>= level
         j >>= level
     t = t0
@@ -257,19 +285,7 @@ def walk(field, ray, t_begin, t_end, t0, t1, margin):  # type: ignore[no-untyped
         leave_y = (float((j + ahead_y) << level) - y) * per_y
         leave = min(leave_x, leave_y)
         if level == 0:
-            m, n = np.uintp(i), np.uintp(j)
-            m1, n1 = np.uintp(i + 1), np.uintp(j + 1)
-            hit = patch_hit(
-                np.float64(heights[n, m]),
-                np.float64(heights[n, m1]),
-                np.float64(heights[n1, m]),
-                np.float64(heights[n1, m1]),
-                i,
-                j,
-                ray,
-                t_begin,
-                t_end,
-            )
+            hit = hit_at(heights, i, j, ray, t_begin, t_end)
             if hit < MISS:
                 return hit
         else:

@@ -26,6 +26,8 @@ from pipeline.geometry.ray_walk import (
     area_bounds,
     clip,
     first_hit,
+    hit_at,
+    locate,
     shorten,
     walk,
     whole_bounds,
@@ -37,6 +39,7 @@ PACKET = 32
 _BLOCK = 128 * PACKET
 _GLANCES = 3
 _SMALL = 2 * PACKET
+_SHORT = 1.0
 
 
 class RayCaster:
@@ -133,7 +136,7 @@ def _rows(vectors: NDArray[np.floating]) -> Array:
 @njit(cache=True, error_model="numpy")
 def _on_grid(position):  # type: ignore[no-untyped-def]
     """Undo the rounding that keeps a multiple of the spacing from being a whole number."""
-    nearest = math.floor(position + 0.5)
+    nearest = np.floor(position + 0.5)
     return nearest if abs(position - nearest) <= 1e-15 * abs(nearest) else position
 
 
@@ -158,6 +161,7 @@ def _load(field, per_mm, origins, ends, t_max, margin_mm, start, size, packet, r
     the box (9, 10), what is left of it (11, 12), margin in z (13).
     """
     high, low = whole_bounds(field)
+    last_column, last_row = field.last[0], field.last[1]
     awkward = 0
     for k in range(size):
         n = np.uintp(start + k)
@@ -175,9 +179,12 @@ def _load(field, per_mm, origins, ends, t_max, margin_mm, start, size, packet, r
         to_column, to_row = to_x * per_mm, -to_y * per_mm
         per_column, per_row, per_z = 1.0 / to_column, 1.0 / to_row, 1.0 / to_z
         margin = RELATIVE_MARGIN * (abs(z) + max(abs(high), abs(low)))
-        t0, t1 = clip(column, per_column, 0.0, limit, 0.0, field.last[0])
-        t0, t1 = clip(row, per_row, t0, t1, 0.0, field.last[1])
-        t0, t1 = clip(z, per_z, t0, t1, low - margin, high + margin)
+        a, b = (0.0 - column) * per_column, (last_column - column) * per_column
+        t0, t1 = max(0.0, min(a, b)), min(limit, max(a, b))
+        a, b = (0.0 - row) * per_row, (last_row - row) * per_row
+        t0, t1 = max(t0, min(a, b)), min(t1, max(a, b))
+        a, b = (low - margin - z) * per_z, (high + margin - z) * per_z
+        t0, t1 = max(t0, min(a, b)), min(t1, max(a, b))
         largest = max(max(abs(to_column), abs(to_row)), abs(to_z))
         smallest = min(min(abs(to_column), abs(to_row)), abs(to_z))
         plain = (largest > LEAST) & (largest < MOST) & (smallest > SMALLEST_SHARE * largest)
@@ -255,28 +262,44 @@ def _finish(field, packet, size, start, result):  # type: ignore[no-untyped-def]
             packet[13, k],
         )
     for k in range(size):
+        t0, t1 = packet[11, k], packet[12, k]
+        reach = max(abs(packet[3, k]), abs(packet[4, k])) * (t1 - t0)
+        if 0.0 < t0 <= t1 and reach < _SHORT:
+            ray = _unpack(packet, k)
+            i, j = locate(field, ray, t0)
+            hit = hit_at(field.heights, i, j, ray, packet[9, k], packet[10, k])
+            result[start + k] = hit
+            leave_column = (float(i + ray.ahead_column) - ray.column) * ray.per_column
+            leave_row = (float(j + ray.ahead_row) - ray.row) * ray.per_row
+            leave = min(leave_column, leave_row)
+            packet[11, k] = leave if hit == MISS and leave < t1 else np.inf
+    for k in range(size):
         if packet[11, k] <= packet[12, k]:
-            ray = Ray(
-                packet[0, k],
-                packet[1, k],
-                packet[2, k],
-                packet[3, k],
-                packet[4, k],
-                packet[5, k],
-                packet[6, k],
-                packet[7, k],
-                packet[8, k],
-                packet[0, k],
-                packet[1, k],
-                1 if packet[3, k] >= 0.0 else 0,
-                1 if packet[4, k] >= 0.0 else 0,
-            )
             result[start + k] = walk(
                 field,
-                ray,
+                _unpack(packet, k),
                 packet[9, k],
                 packet[10, k],
                 packet[11, k],
                 packet[12, k],
                 packet[13, k],
             )
+
+
+@njit(cache=True, error_model="numpy")
+def _unpack(packet, k):  # type: ignore[no-untyped-def]
+    return Ray(
+        packet[0, k],
+        packet[1, k],
+        packet[2, k],
+        packet[3, k],
+        packet[4, k],
+        packet[5, k],
+        packet[6, k],
+        packet[7, k],
+        packet[8, k],
+        packet[0, k],
+        packet[1, k],
+        1 if packet[3, k] >= 0.0 else 0,
+        1 if packet[4, k] >= 0.0 else 0,
+    )
