@@ -99,16 +99,21 @@ def local_slope(image: Image) -> tuple[Image, Image]:
             dtype=np.float32,
         )
 
-    count, total = moment(known, ones, ones), moment(values, ones, ones)
-    slopes = []
     squares = ramp * ramp
-    for first, second in (((ramp, ones), (squares, ones)), ((ones, ramp), (ones, squares))):
-        place, square = moment(known, *first), moment(known, *second)
-        product = moment(values, *first)
-        spread = count * square - place * place
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slopes.append(np.where(spread > count, (count * product - place * total) / spread, 0))
-    return slopes[0].astype(np.float32), slopes[1].astype(np.float32)
+    n, z = moment(known, ones, ones), moment(values, ones, ones)
+    x, y = moment(known, ramp, ones), moment(known, ones, ramp)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        xx = moment(known, squares, ones) - x * x / n
+        yy = moment(known, ones, squares) - y * y / n
+        xy = moment(known, ramp, ramp) - x * y / n
+        xz = moment(values, ramp, ones) - x * z / n
+        yz = moment(values, ones, ramp) - y * z / n
+        determinant = xx * yy - xy * xy
+        # Fewer pixels than a row's worth, or pixels in one line, tell no slope.
+        enough = (n >= len(ramp)) & (determinant > 0.1 * xx * yy)
+        along_x = np.where(enough, (yy * xz - xy * yz) / determinant, 0)
+        along_y = np.where(enough, (xx * yz - xy * xz) / determinant, 0)
+    return along_x.astype(np.float32), along_y.astype(np.float32)
 
 
 def spread_variance(across: Image, expected: Image) -> float | None:

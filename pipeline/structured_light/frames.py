@@ -106,9 +106,8 @@ class FrameReader:
         times = np.array([exposure(frame) for frame in frames])
         bound = SATURATED / times.min() if at_least else np.nan
         stack = self.stack(frames)
-        merged: Image = _merge(
-            stack, times, 1 / self.full_scale, SATURATED, noise.shot, noise.floor, bound
-        )
+        merged: Image = np.full(stack.shape[1:], bound, np.float32)
+        _merge(stack, times, 1 / self.full_scale, SATURATED, noise.shot, noise.floor, merged)
         return merged
 
 
@@ -118,10 +117,9 @@ def exposure(frame: Frame) -> float:
 
 
 @njit(cache=True, parallel=True)
-def _merge(stack, times, unit, saturated, shot, floor, bound):  # type: ignore[no-untyped-def]
+def _merge(stack, times, unit, saturated, shot, floor, merged):  # type: ignore[no-untyped-def]
     """Weighted mean of value / time; the weights follow the mean, not the noisy value itself."""
     frames, rows, columns = stack.shape
-    merged = np.empty((rows, columns), np.float32)
     for row in prange(rows):
         for column in range(columns):
             value = time = 0.0
@@ -131,7 +129,6 @@ def _merge(stack, times, unit, saturated, shot, floor, bound):  # type: ignore[n
                     value += v
                     time += times[f]
             if time == 0.0:
-                merged[row, column] = bound
                 continue
             level = max(value / time, 0.0)
             total = weights = 0.0
@@ -142,4 +139,3 @@ def _merge(stack, times, unit, saturated, shot, floor, bound):  # type: ignore[n
                     total += weight * v
                     weights += weight * times[f]
             merged[row, column] = total / weights
-    return merged

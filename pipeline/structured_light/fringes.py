@@ -60,20 +60,18 @@ def solve_fringes(
     full_scale
         The stored value that means 1.
     """
-    phase, sigma, amplitude, offset, chi2, used = _solve(
-        stack, basis, light, 1 / full_scale, SATURATED, noise.shot, noise.floor
-    )
-    dropped = 1 - int(used) / max(stack.size, 1)
+    found = np.full((5, *stack.shape[1:]), np.nan, np.float32)
+    kept = np.zeros(stack.shape[1], np.int64)
+    _solve(stack, basis, light, 1 / full_scale, SATURATED, noise.shot, noise.floor, found, kept)
+    phase, sigma, amplitude, offset, chi2 = found
+    dropped = 1 - int(kept.sum()) / max(stack.size, 1)
     return Fringes(phase, sigma, amplitude, offset, chi2, dropped)
 
 
+# The kernels fill arrays that are made outside: what numba parallelises is their loop alone.
 @njit(cache=True, parallel=True)
-def _solve(stack, basis, light, unit, saturated, shot, floor):  # type: ignore[no-untyped-def]
+def _solve(stack, basis, light, unit, saturated, shot, floor, found, kept):  # type: ignore[no-untyped-def]
     frames, rows, columns = stack.shape
-    phase = np.full((rows, columns), np.nan, np.float32)
-    sigma, amplitude = phase.copy(), phase.copy()
-    offset, chi2 = phase.copy(), phase.copy()
-    kept = np.zeros(rows, np.int64)
     for row in prange(rows):
         values = np.empty(frames)
         for column in range(columns):
@@ -131,16 +129,15 @@ def _solve(stack, basis, light, unit, saturated, shot, floor):  # type: ignore[n
             power = c * c + s * s
             if not solved or not power > 0.0:
                 continue
-            phase[row, column] = math.atan2(s, c)
+            found[0, row, column] = math.atan2(s, c)
             variance = (s * s * k11 - 2 * s * c * k12 + c * c * k22) / determinant / (power * power)
-            sigma[row, column] = math.sqrt(max(variance, 0.0))
-            amplitude[row, column] = math.sqrt(power)
-            offset[row, column] = mean
+            found[1, row, column] = math.sqrt(max(variance, 0.0))
+            found[2, row, column] = math.sqrt(power)
+            found[3, row, column] = mean
             if used > 3:
                 rest = 0.0
                 for f in range(frames):
                     if not math.isnan(values[f]):
                         model = light[f] * (mean * basis[f, 0] + c * basis[f, 1] + s * basis[f, 2])
                         rest += (values[f] - model) ** 2 / (shot * max(model, 0.0) + floor)
-                chi2[row, column] = rest / (used - 3)
-    return phase, sigma, amplitude, offset, chi2, kept.sum()
+                found[4, row, column] = rest / (used - 3)

@@ -49,16 +49,15 @@ def cells(scores: Image) -> tuple[NDArray[np.int32], Image, NDArray[np.int32]]:
     neighbour
         The cell that the pixel would be in were its least sure bit the other way.
     """
-    found: tuple[NDArray[np.int32], Image, NDArray[np.int32]] = _cells(scores)
-    return found
+    cell = np.zeros(scores.shape[1:], np.int32)
+    neighbour, doubt = np.zeros_like(cell), np.zeros(cell.shape, np.float32)
+    _cells(scores, cell, neighbour, doubt)
+    return cell, doubt, neighbour
 
 
 @njit(cache=True, parallel=True)
-def _cells(scores):  # type: ignore[no-untyped-def]
+def _cells(scores, cell, neighbour, doubt):  # type: ignore[no-untyped-def]
     bits, rows, columns = scores.shape
-    cell = np.zeros((rows, columns), np.int32)
-    neighbour = np.zeros((rows, columns), np.int32)
-    doubt = np.zeros((rows, columns), np.float32)
     for row in prange(rows):
         for column in range(columns):
             least, which = np.inf, 0
@@ -74,4 +73,3 @@ def _cells(scores):  # type: ignore[no-untyped-def]
                 index, other = 2 * index + binary, 2 * other + turned
             cell[row, column], neighbour[row, column] = index, other
             doubt[row, column] = least
-    return cell, doubt, neighbour

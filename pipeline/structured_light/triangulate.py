@@ -74,7 +74,12 @@ def triangulate(
             f"the frames are {axes[0].shape[1]} x {axes[0].shape[0]} px",
             expected=f"{width} x {height} px, as the calibrated camera",
         )
-    points, depth, sigma, residual, across, flat = _depths(
+    points = np.full((height, width, 3), np.nan, np.float32)
+    depth = np.full((height, width), np.nan)
+    sigma, residual = missing.copy(), missing.copy()
+    across = np.full((height, width, 2), np.nan, np.float32)
+    flat = np.zeros(height, np.int64)
+    _depths(
         *axes,
         np.ascontiguousarray(camera.lens.K),
         camera.lens.distortion,
@@ -85,8 +90,14 @@ def triangulate(
         np.ascontiguousarray(to_scan.rotation),
         to_scan.translation_mm,
         math.tan(SMALLEST_ANGLE),
+        points,
+        depth,
+        sigma,
+        residual,
+        across,
+        flat,
     )
-    if flat > 0 and not np.isfinite(depth).any():
+    if flat.any() and not np.isfinite(depth).any():
         axis = "x" if coordinates.y is None else "y"
         raise ImpastoError(
             f"the only coded axis, {axis}, lies along the baseline of camera and projector",
@@ -156,14 +167,14 @@ def _depths(  # type: ignore[no-untyped-def]
     back_R,
     back_t,
     smallest,
+    points,
+    depth,
+    sigma,
+    residual,
+    across,
+    flat,
 ):
     rows, columns = x.shape
-    points = np.full((rows, columns, 3), np.nan, np.float32)
-    depth = np.full((rows, columns), np.nan)
-    sigma = np.full((rows, columns), np.nan, np.float32)
-    residual = np.full((rows, columns), np.nan, np.float32)
-    across = np.full((rows, columns, 2), np.nan, np.float32)
-    flat = np.zeros(rows, np.int64)
     focal = 0.5 * (K[0, 0] + K[1, 1])
     for row in prange(rows):
         for column in range(columns):
@@ -178,6 +189,13 @@ def _depths(  # type: ignore[no-untyped-def]
             q0 = R[0, 0] * d0 + R[0, 1] * d1 + R[0, 2]
             q1 = R[1, 0] * d0 + R[1, 1] * d1 + R[1, 2]
             q2 = R[2, 0] * d0 + R[2, 1] * d1 + R[2, 2]
+            # The epipolar line's direction, the same at all depths.
+            line_a, line_b = q0 * t[2] - q2 * t[0], q1 * t[2] - q2 * t[1]
+            seen_a = abs(line_a) if weight_x > 0 else 0.0
+            seen_b = abs(line_b) if weight_y > 0 else 0.0
+            if max(seen_a, seen_b) <= smallest * math.hypot(line_a, line_b):
+                flat[row] += 1
+                continue
             # Without distortion (q z + t) lies on a = constant: linear in z, weighted by axis.
             upper = lower = 0.0
             if weight_x > 0:
@@ -229,4 +247,3 @@ def _depths(  # type: ignore[no-untyped-def]
                 norm = math.hypot(along_x, along_y)
                 across[row, column, 0], across[row, column, 1] = -along_y / norm, along_x / norm
                 residual[row, column] = (along_x * off_y - along_y * off_x) / norm
-    return points, depth, sigma, residual, across, flat.sum()

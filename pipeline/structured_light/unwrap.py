@@ -13,8 +13,9 @@ Image = NDArray[np.float32]
 DOUBTFUL = 0.3
 """Gray score below which a pixel may lie on the border of its cell."""
 
-_CLEAR_MARGIN = 9.0
-"""Difference of squared, normalised residuals (three sigma) by which one order must win."""
+_LIMITS = (9.0, 25.0, 0.005)
+"""Of squared, normalised residuals, the difference (three sigma) by which one order must win, and
+the most that the best may leave; and the share of a period that nonlinearity may move a phase."""
 
 
 def wrapped_coordinate(phase: Image, period_px: float) -> Image:
@@ -40,17 +41,15 @@ def unwrap_by_cells(
     -------
     The coordinate (px, NaN outside the projector), and its distance from the expected place.
     """
-    found: tuple[Image, Image] = _by_cells(
-        wrapped, period_px, cell, doubt, neighbour, cell_px, size_px
-    )
-    return found
+    coordinate = np.full(wrapped.shape, np.nan, np.float32)
+    away = coordinate.copy()
+    _by_cells(wrapped, period_px, cell, doubt, neighbour, cell_px, size_px, coordinate, away)
+    return coordinate, away
 
 
 @njit(cache=True, parallel=True)
-def _by_cells(wrapped, period, cell, doubt, neighbour, cell_px, size):  # type: ignore[no-untyped-def]
+def _by_cells(wrapped, period, cell, doubt, neighbour, cell_px, size, coordinate, away):  # type: ignore[no-untyped-def]
     rows, columns = wrapped.shape
-    coordinate = np.full((rows, columns), np.nan, np.float32)
-    away = np.full((rows, columns), np.nan, np.float32)
     for row in prange(rows):
         for column in range(columns):
             start = wrapped[row, column]
@@ -62,7 +61,6 @@ def _by_cells(wrapped, period, cell, doubt, neighbour, cell_px, size):  # type: 
             if -1.0 <= found <= size:
                 coordinate[row, column] = found
                 away[row, column] = abs(found - expected)
-    return coordinate, away
 
 
 def refine(
@@ -104,15 +102,16 @@ def unwrap_by_periods(
     -------
     The weighted mean of all periods' coordinates, and its standard deviation.
     """
-    found: tuple[Image, Image] = _by_periods(wrapped, sigma, periods_px, size_px, _CLEAR_MARGIN)
-    return found
+    coordinate = np.full(wrapped.shape[1:], np.nan, np.float32)
+    spread = coordinate.copy()
+    _by_periods(wrapped, sigma, periods_px, size_px, _LIMITS, coordinate, spread)
+    return coordinate, spread
 
 
 @njit(cache=True, parallel=True)
-def _by_periods(wrapped, sigma, periods, size, clear):  # type: ignore[no-untyped-def]
+def _by_periods(wrapped, sigma, periods, size, limits, coordinate, spread):  # type: ignore[no-untyped-def]
     count, rows, columns = wrapped.shape
-    coordinate = np.full((rows, columns), np.nan, np.float32)
-    spread = np.full((rows, columns), np.nan, np.float32)
+    clear, worst, systematic = limits
     for row in prange(rows):
         for column in range(columns):
             start = wrapped[0, row, column]
@@ -127,13 +126,14 @@ def _by_periods(wrapped, sigma, periods, size, clear):  # type: ignore[no-untype
                 for i in range(1, count):
                     d = wrapped[i, row, column] - start
                     d -= periods[i] * math.floor(d / periods[i] + 0.5)
-                    cost += d * d / (sigma[i, row, column] ** 2 + sigma[0, row, column] ** 2)
+                    noise = sigma[i, row, column] ** 2 + sigma[0, row, column] ** 2
+                    cost += d * d / (noise + (systematic * periods[i]) ** 2)
                 if cost < best:
                     best, second, chosen = cost, best, start
                 elif cost < second:
                     second = cost
                 start += periods[0]
-            if not second - best > clear:
+            if not (second - best > clear and best < worst):
                 continue
             total = weights = 0.0
             for i in range(count):
@@ -144,7 +144,6 @@ def _by_periods(wrapped, sigma, periods, size, clear):  # type: ignore[no-untype
                 weights += weight
             coordinate[row, column] = chosen + total / weights
             spread[row, column] = 1.0 / math.sqrt(weights)
-    return coordinate, spread
 
 
 def repair_jumps(coordinate: Image, period_px: float) -> tuple[Image, int]:
@@ -156,15 +155,15 @@ def repair_jumps(coordinate: Image, period_px: float) -> tuple[Image, int]:
     -------
     The repaired image, and how many pixels were shifted.
     """
-    repaired, shifted = _repair(coordinate, period_px)
-    return repaired, int(shifted)
+    repaired = coordinate.copy()
+    shifted = np.zeros(len(coordinate), np.int64)
+    _repair(coordinate, period_px, repaired, shifted)
+    return repaired, int(shifted.sum())
 
 
 @njit(cache=True, parallel=True)
-def _repair(coordinate, period):  # type: ignore[no-untyped-def]
+def _repair(coordinate, period, repaired, shifted):  # type: ignore[no-untyped-def]
     rows, columns = coordinate.shape
-    repaired = coordinate.copy()
-    shifted = np.zeros(rows, np.int64)
     for row in prange(rows):
         around = np.empty(12, np.float32)
         for column in range(columns):
@@ -187,11 +186,15 @@ def _repair(coordinate, period):  # type: ignore[no-untyped-def]
                     continue
                 pair = 0.5 * (coordinate[row - dr, column - dc] + coordinate[row + dr, column + dc])
                 if math.isfinite(pair):
-                    around[n] = pair
+                    place = n
+                    while place > 0 and around[place - 1] > pair:
+                        around[place] = around[place - 1]
+                        place -= 1
+                    around[place] = pair
                     n += 1
             if n < 5 or not math.isfinite(here):
                 continue
-            middle = np.median(around[:n])
+            middle = around[n // 2]
             order = math.floor((middle - here) / period + 0.5)
             if order == 0 or abs(here + order * period - middle) > 0.25 * period:
                 continue
@@ -201,4 +204,3 @@ def _repair(coordinate, period):  # type: ignore[no-untyped-def]
             if close > 0.7 * n:
                 repaired[row, column] = here + order * period
                 shifted[row] += 1
-    return repaired, shifted.sum()
