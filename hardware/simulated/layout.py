@@ -20,7 +20,7 @@ _STATIONS = ((-90.0, 70.0), (15.0, 56.0), (150.0, 62.0), (-60.0, 42.0))
 """Azimuth and elevation of the photo camera, degrees."""
 
 _STATION_MM, _ARC_MM = 520.0, 600.0
-_STOPS_DEG = (28.0, 46.0, 66.0, 98.0, 140.0)
+_STOPS_DEG = (34.0, 50.0, 68.0, 98.0, 138.0)
 """Of the lamp along its arc, from the horizon on one side to that on the other."""
 
 
@@ -62,7 +62,7 @@ def lay_out(
 ) -> Layout:
     """Stand the devices around the table."""
     scan_lens = _lens(scan_px, 22.6, (-0.11, 0.13, 0.0005, -0.0004, 0.0))
-    photo_lens = _lens(photo_px, 30.5, (-0.07, 0.06, -0.0005, 0.0003, 0.0))
+    photo_lens = _lens(photo_px, 31.8, (-0.07, 0.06, -0.0005, 0.0003, 0.0))
     projector_lens = _lens(projector_px, 24.2, (0.05, -0.04, 0.0003, 0.0002, 0.0))
     cameras = {SCAN_CAMERA: _standing_at(np.array([20.0, -26.0, 520.0]), _CENTRE_MM, scan_lens)}
     for number, (azimuth, elevation) in enumerate(_STATIONS[:stations], start=1):
@@ -110,7 +110,8 @@ def _board_pose(number: int) -> RigidTransform:
     tilted = rotation_about_axis(np.zeros(3), axis, (8.0, 30.0, 38.0, 34.0)[number % 4])
     spun = turn_z(9.0 * np.sin(2.0 * number)) @ turn_z(180.0 * (number % 2))
     place = np.array([14 * np.cos(3 * around), 4 * np.sin(2 * around), 54.0 + 9.0 * (number % 3)])
-    return RigidTransform(np.eye(3), place) @ tilted @ spun @ to_middle
+    face_up = rotation_about_axis(np.zeros(3), np.array([1.0, 0.0, 0.0]), 180.0)
+    return RigidTransform(np.eye(3), place) @ tilted @ spun @ face_up @ to_middle
 
 
 def _lens(size_px: tuple[int, int], field_deg: float, distortion: tuple[float, ...]) -> Lens:

@@ -16,7 +16,7 @@ from hardware.simulated import motif
 from hardware.simulated.brush import Layers, Map, Strokes, lay
 from hardware.simulated.motif import CANVAS_MM
 
-FRAME_WIDTH_MM, FRAME_TOP_MM, FRAME_LIP_MM = 11.0, 7.0, 1.5
+FRAME_WIDTH_MM, FRAME_TOP_MM, FRAME_LIP_MM = 11.0, 6.0, 1.5
 """The frame, its height above the canvas, and how far it reaches over the canvas's edges."""
 
 WALL_MM = 30.0

@@ -52,7 +52,7 @@ class Setting:
 
     seed: int = 1
     scan_px: tuple[int, int] = (640, 480)
-    photo_px: tuple[int, int] = (480, 360)
+    photo_px: tuple[int, int] = (560, 420)
     projector_px: tuple[int, int] = (1024, 768)
     spacing_mm: float = 0.2
     boards: int = 8
@@ -61,7 +61,7 @@ class Setting:
         Coding("x", bits=7, cell_px=8, periods_px=(16,), steps=5),
         Coding("y", bits=7, cell_px=8, periods_px=(16,), steps=5),
     )
-    exposures: tuple[float, ...] = (1.0, 4.0)
+    exposures: tuple[float, ...] = (0.4, 2.4)
     stored_bits: int = 16
     tests: int = 3
     physics: Physics = field(default_factory=Physics)
@@ -149,7 +149,7 @@ def photo_plans(setting: Setting, layout: Layout) -> list[PhotoPlan]:
     stations = sorted(name for name in layout.cameras if name != SCAN_CAMERA)
     plans = [
         PhotoPlan(
-            stations[(i + i // len(stops)) % len(stations)],
+            stations[(i // len(stops) + i % len(stops)) % len(stations)],
             stops[i % len(stops)],
             360.0 / ANGLES * ((3 * i + i // ANGLES) % ANGLES),
             PAINTING,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -14,8 +13,6 @@ import pytest
 
 ENGINE_TESTS = Path(__file__).parent / "engine"
 ROOT = Path(__file__).resolve().parents[2]
-
-Snapshot = dict[str, bytes]
 
 
 @pytest.fixture
@@ -48,29 +45,3 @@ def toy_process() -> Callable[..., subprocess.Popen[str]]:
         )
 
     return start
-
-
-@pytest.fixture
-def snapshot() -> Callable[[Path], Snapshot]:
-    """Read a workspace: all bytes outside ``.engine``, the manifests without their ``run``."""
-
-    def read(folder: Path) -> Snapshot:
-        found = {}
-        for path in sorted(folder.rglob("*")):
-            name = str(path.relative_to(folder))
-            if not path.is_file() or name.startswith(".engine"):
-                continue
-            content = path.read_bytes()
-            if path.name == "manifest.json":
-                document = json.loads(content)
-                assert set(document.pop("run")) == {
-                    "started",
-                    "elapsed_s",
-                    "peak_memory_bytes",
-                    "peak_memory_is",
-                }
-                content = json.dumps(document).encode()
-            found[name] = content
-        return found
-
-    return read

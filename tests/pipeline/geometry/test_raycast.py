@@ -80,7 +80,8 @@ def exact_meeting(field, origin, direction, t_max=np.inf) -> Meeting:
             ends = high is not None and high - root < CLOSE
             before, after = before or ends, after or starts
             inside = inside or not (starts or ends)
-    return Meeting(float(best), inside or (before and after))
+    # A root before the start, by less than the slack, may or may not count.
+    return Meeting(float(best), best >= 0 and (inside or (before and after)))
 
 
 def first_root(A, B, C, low, high) -> tuple[Fraction | None, bool]:
