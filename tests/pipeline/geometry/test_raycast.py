@@ -26,7 +26,8 @@ TO_CANVAS = np.array([1.0, -1.0, 1.0])
 class Meeting:
     """The first t, infinite if none; not certain where any rounding would undo it.
 
-    That is: a touch of the curved surface from one side, of its rim, or of a patch at one point.
+    That is: a touch of the curved surface from one side, of its rim, or of a patch at one point; or
+    a start that all but lies on the surface.
     """
 
     t: float
@@ -80,8 +81,8 @@ def exact_meeting(field, origin, direction, t_max=np.inf) -> Meeting:
             ends = high is not None and high - root < CLOSE
             before, after = before or ends, after or starts
             inside = inside or not (starts or ends)
-    # A root before the start, by less than the slack, may or may not count.
-    return Meeting(float(best), best >= 0 and (inside or (before and after)))
+    at_once = best != 0 and best < CLOSE
+    return Meeting(float(best), not at_once and (inside or (before and after)))
 
 
 def first_root(A, B, C, low, high) -> tuple[Fraction | None, bool]:
