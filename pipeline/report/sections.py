@@ -21,6 +21,12 @@ from pipeline.report.truth import TruthErrors
 
 MOST_FRAMES = 8
 MOST_PHOTOS = 8
+_PURPOSES = {
+    "scan": "frames of the scan",
+    "calibrate": "of boards",
+    "pose": "of the camera's places",
+    "light": "of the lamp's places",
+}
 T = TypeVar("T")
 
 
@@ -35,11 +41,11 @@ def capture(bundle: Bundle) -> str:
         turned = "" if photo.turntable_deg is None else f", table at {photo.turntable_deg:g}°"
         shown.append(_thumbnail(bundle, photo.file, f"{photo.camera}, lamp {photo.light}{turned}"))
     counts = [
-        (purpose, sum(len(sequence.frames) for sequence in bundle.sequences(purpose)))
-        for purpose in ("scan", "calibrate", "pose", "light")
+        (sum(len(sequence.frames) for sequence in bundle.sequences(purpose)), what)
+        for purpose, what in _PURPOSES.items()
     ]
-    counts.append(("photographs", len(bundle.capture.photos)))
-    taken = ", ".join(f"{count} {name}" for name, count in counts if count)
+    counts.append((len(bundle.capture.photos), "photographs under the lamp"))
+    taken = ", ".join(f"{count} {what}" for count, what in counts if count)
     return html.section(
         "capture",
         "The capture",
