@@ -8,10 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.calibrate.corner_fit import SMALLEST_RADIUS, fit_corners
 from pipeline.formats.capture import Board, Charuco, Chessboard
 
-LARGEST_WINDOW, SMALLEST_WINDOW = 11, 2
-"""Half sides of the refinement's window, px."""
+FEWEST_CORNERS = 6
+REACH = 0.7
+"""Radius of the window around a corner, in distances to the next one."""
+
+SMALLEST_WINDOW = 2
+"""Half side of the gradient method's window, px."""
 
 Found = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Board points (N, 3) and pixels (N, 2)."""
@@ -28,12 +33,13 @@ class Corners:
 def find_corners(image: NDArray[np.float32], board: Board) -> Corners | None:
     """Find a board in a linear image; None if it is not (wholly, for a chessboard) to be seen.
 
-    The corners are refined on the image itself by the gradient's orthogonality (Foerstner and
-    Guelch 1987, as OpenCV's cornerSubPix does), in the largest window that holds no other corner.
+    The corners are refined by :mod:`pipeline.calibrate.corner_fit`, in the largest window that
+    holds no other corner; where squares are too small for that, by the gradient's orthogonality
+    (Foerstner and Guelch 1987).
     """
     # The detector wants 8 bits; a square root keeps the dark squares of a dim picture apart.
     peak = float(np.percentile(image, 99.5)) or 1.0
-    level = np.clip(image / peak, 0, 1)
+    level = np.clip(image / peak, 0, 1).astype(np.float32)
     bytes_ = np.rint(255 * np.sqrt(level)).astype(np.uint8)
     match board:
         case Chessboard():
@@ -43,21 +49,9 @@ def find_corners(image: NDArray[np.float32], board: Board) -> Corners | None:
     if found is None:
         return None
     points, pixels = found
-    smooth = cv2.GaussianBlur(level.astype(np.float32), (0, 0), 0.7)
-    window = _window(pixels)
-    refined = (
-        cv2.cornerSubPix(
-            smooth,
-            pixels.astype(np.float32).reshape(-1, 1, 2),
-            (window, window),
-            (-1, -1),
-            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4),
-        )
-        .reshape(-1, 2)
-        .astype(np.float64)
-    )
-    kept = np.linalg.norm(refined - pixels, axis=1) < window
-    return Corners(points[kept], refined[kept]) if kept.sum() >= 6 else None
+    pixels = _refined(level, pixels)
+    kept = np.isfinite(pixels).all(axis=1)
+    return Corners(points[kept], pixels[kept]) if kept.sum() >= FEWEST_CORNERS else None
 
 
 def board_points(board: Board) -> NDArray[np.float64]:
@@ -86,12 +80,27 @@ def _charuco(image: NDArray[np.uint8], board: Charuco) -> Found | None:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     pattern = cv2.aruco.CharucoBoard(board.squares, board.square_mm, board.marker_mm, dictionary)
     pixels, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(image)
-    if ids is None or len(ids) < 6:
+    if ids is None or len(ids) < FEWEST_CORNERS:
         return None
     return board_points(board)[ids.ravel()], pixels.reshape(-1, 2).astype(np.float64)
 
 
-def _window(pixels: NDArray[np.float64]) -> int:
+def _refined(level: NDArray[np.float32], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Refine corners (N, 2) px; NaN where an image of a corner is not what it should be."""
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     np.fill_diagonal(apart, np.inf)
-    return int(np.clip(0.4 * apart.min(), SMALLEST_WINDOW, LARGEST_WINDOW))
+    nearest = float(apart.min())
+    if REACH * nearest >= SMALLEST_RADIUS:
+        return fit_corners(level, pixels, REACH * nearest).pixels
+    window = max(int(0.4 * nearest), SMALLEST_WINDOW)
+    smooth = cv2.GaussianBlur(level, (0, 0), 0.7)
+    refined = cv2.cornerSubPix(
+        smooth,
+        pixels.astype(np.float32).reshape(-1, 1, 2),
+        (window, window),
+        (-1, -1),
+        (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4),
+    )
+    refined = refined.reshape(-1, 2).astype(np.float64)
+    moved = np.linalg.norm(refined - pixels, axis=1)
+    return np.where(moved[:, None] < window, refined, np.nan)

@@ -92,7 +92,7 @@ def adjust(views: Sequence[BoardView], start: Start) -> Adjusted:
         )
         vector = fit.x
         spread = problem.spread(vector)
-    return problem.result(vector, problem.jacobian(vector, spread))
+    return problem.result(vector, problem.jacobian(vector, spread), spread)
 
 
 class _Problem:
@@ -195,7 +195,36 @@ class _Problem:
                 result[device] = max(deviation, _SMALLEST_SPREAD_PX)
         return result
 
-    def result(self, vector: Array, jacobian: Array) -> Adjusted:
+    def jackknife(self, vector: Array, jacobian: Array, spread: Array) -> Array:
+        """Return the shared parameters' variances from leaving out each view in turn.
+
+        Corners of one view err together (blur, a bent board), which the residuals' spread alone
+        does not tell. Linearised, with the view's pose eliminated (Efron 1982; Triggs et al. 2000).
+        """
+        shared = int(self.ends[2])
+        residual = self.residuals(vector, spread)
+        reduced, pulls = [], []
+        first = 0
+        for index, (view, decoded) in enumerate(zip(self.views, self.decoded, strict=True)):
+            length = 2 * (len(view.points) + (0 if decoded is None else int(decoded.sum())))
+            rows = slice(first, first + length)
+            first += length
+            own = jacobian[rows, shared + 6 * index : shared + 6 * index + 6]
+            basis = np.linalg.qr(own)[0]
+            devices = jacobian[rows, :shared]
+            devices = devices - basis @ (basis.T @ devices)
+            reduced.append(devices.T @ devices)
+            pulls.append(devices.T @ np.clip(residual[rows], -_HUBER, _HUBER))
+        count, total = len(reduced), np.sum(reduced, axis=0)
+        if count < 3 or not shared:
+            return np.zeros(shared)
+        moved = []
+        for own_part, pull in zip(reduced, pulls, strict=True):
+            # Without a view that alone tells a parameter, the others leave it where it was.
+            moved.append(np.linalg.pinv(total - own_part, hermitian=True) @ pull)
+        return (count - 1) * np.var(moved, axis=0)
+
+    def result(self, vector: Array, jacobian: Array, spread: Array) -> Adjusted:
         scale = np.linalg.norm(jacobian, axis=0)
         _, singular, rotation = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1))
         condition = float(singular[0] / max(singular[-1], 1e-300))
@@ -207,7 +236,10 @@ class _Problem:
                 fix="record five or more views with the board tilted each time",
             )
         covariance = (rotation.T / singular**2) @ rotation / np.outer(scale, scale)
-        deviation = np.split(np.sqrt(np.diag(covariance)), self.ends[:-1])
+        variance = np.diag(covariance).copy()
+        shared = int(self.ends[2])
+        variance[:shared] = np.maximum(variance[:shared], self.jackknife(vector, jacobian, spread))
+        deviation = np.split(np.sqrt(variance), self.ends[:-1])
         camera, projector, boards = self.unpack(vector)
         pairs = [self.view_residuals(i, camera, projector, b) for i, b in enumerate(boards)]
         lit = np.concatenate([pair[1] for pair in pairs])
