@@ -9,19 +9,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pipeline.calibrate.covariance import (
+    ViewBlock,
+    correlation,
+    jackknife_variance,
+    joint_covariance,
+)
+from pipeline.calibrate.parameters import (
+    LENS_PARAMETERS,
+    POSE_PARAMETERS,
+    lens_vector,
+    pose_vector,
+    vector_lens,
+    vector_pose,
+)
 from pipeline.errors import ImpastoError
 from pipeline.geometry.camera import Camera, Lens
 from pipeline.geometry.rigid import RigidTransform
 
 Array = NDArray[np.float64]
-
-LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-POSE_PARAMETERS = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z")
 
 WORST_CONDITION = 1e5
 """Of the scaled Jacobian: beyond it the views do not determine all parameters."""
@@ -55,7 +65,11 @@ class Start:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """The result; standard deviations by parameter name, RMS in px by device and by view."""
+    """The result; standard deviations by parameter name, RMS in px by device and by view.
+
+    ``correlation`` is that of ``parameters``, ``camera.fx`` to ``projector.t_z``, as far as they
+    were free; ``residuals_px`` are each view's, (N, 2) in the camera, (M, 2) in the projector.
+    """
 
     camera: Lens
     projector: Camera | None
@@ -66,6 +80,9 @@ class Adjusted:
     projector_deviation: dict[str, float]
     view_rms_px: dict[str, float]
     condition: float
+    parameters: tuple[str, ...] = ()
+    correlation: Array | None = None
+    residuals_px: tuple[tuple[Array, Array], ...] = ()
 
 
 def adjust(views: Sequence[BoardView], start: Start) -> Adjusted:
@@ -195,50 +212,31 @@ class _Problem:
                 result[device] = max(deviation, _SMALLEST_SPREAD_PX)
         return result
 
-    def jackknife(self, vector: Array, jacobian: Array, spread: Array) -> Array:
-        """Return the shared parameters' variances from leaving out each view in turn.
-
-        Corners of one view err together (blur, a bent board), which the residuals' spread alone
-        does not tell. Linearised, with the view's pose eliminated (Efron 1982; Triggs et al. 2000).
-        """
-        shared = int(self.ends[2])
-        residual = self.residuals(vector, spread)
-        reduced, pulls = [], []
-        first = 0
+    def view_blocks(self, vector: Array, jacobian: Array, spread: Array) -> list[ViewBlock]:
+        """Cut the Jacobian into each view's rows: shared columns, its own, its residuals."""
+        shared, first = int(self.ends[2]), 0
+        residual = np.clip(self.residuals(vector, spread), -_HUBER, _HUBER)
+        blocks = []
         for index, (view, decoded) in enumerate(zip(self.views, self.decoded, strict=True)):
             length = 2 * (len(view.points) + (0 if decoded is None else int(decoded.sum())))
             rows = slice(first, first + length)
+            own = slice(shared + 6 * index, shared + 6 * index + 6)
+            blocks.append((jacobian[rows, :shared], jacobian[rows, own], residual[rows]))
             first += length
-            own = jacobian[rows, shared + 6 * index : shared + 6 * index + 6]
-            basis = np.linalg.qr(own)[0]
-            devices = jacobian[rows, :shared]
-            devices = devices - basis @ (basis.T @ devices)
-            reduced.append(devices.T @ devices)
-            pulls.append(devices.T @ np.clip(residual[rows], -_HUBER, _HUBER))
-        count, total = len(reduced), np.sum(reduced, axis=0)
-        if count < 3 or not shared:
-            return np.zeros(shared)
-        moved = []
-        for own_part, pull in zip(reduced, pulls, strict=True):
-            # Without a view that alone tells a parameter, the others leave it where it was.
-            moved.append(np.linalg.pinv(total - own_part, hermitian=True) @ pull)
-        return (count - 1) * np.var(moved, axis=0)
+        return blocks
 
     def result(self, vector: Array, jacobian: Array, spread: Array) -> Adjusted:
-        scale = np.linalg.norm(jacobian, axis=0)
-        _, singular, rotation = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1))
-        condition = float(singular[0] / max(singular[-1], 1e-300))
-        if not scale.all() or condition > WORST_CONDITION:
+        covariance, condition = joint_covariance(jacobian)
+        if not condition < WORST_CONDITION:
             raise ImpastoError(
                 f"{len(self.views)} board views do not determine the calibration "
                 f"(condition {condition:.1e})",
                 expected="boards tilted by 20 to 40 degrees in different directions",
                 fix="record five or more views with the board tilted each time",
             )
-        covariance = (rotation.T / singular**2) @ rotation / np.outer(scale, scale)
-        variance = np.diag(covariance).copy()
-        shared = int(self.ends[2])
-        variance[:shared] = np.maximum(variance[:shared], self.jackknife(vector, jacobian, spread))
+        variance, shared = np.diag(covariance).copy(), int(self.ends[2])
+        apart = jackknife_variance(self.view_blocks(vector, jacobian, spread))
+        variance[:shared] = np.maximum(variance[:shared], apart)
         deviation = np.split(np.sqrt(variance), self.ends[:-1])
         camera, projector, boards = self.unpack(vector)
         pairs = [self.view_residuals(i, camera, projector, b) for i, b in enumerate(boards)]
@@ -259,30 +257,19 @@ class _Problem:
                 for view, pair in zip(self.views, pairs, strict=True)
             },
             condition=condition,
+            parameters=self.shared_names(),
+            correlation=correlation(covariance[:shared, :shared]),
+            residuals_px=tuple(pairs),
         )
 
-
-def lens_vector(lens: Lens) -> Array:
-    """Return a lens's nine parameters in the order of LENS_PARAMETERS."""
-    K = lens.K
-    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *lens.distortion])
-
-
-def vector_lens(vector: Array, size_px: tuple[int, int]) -> Lens:
-    """Invert :func:`lens_vector`."""
-    fx, fy, cx, cy = vector[:4]
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    return Lens(size_px, K, np.array(vector[4:9]))
-
-
-def pose_vector(pose: RigidTransform) -> Array:
-    """Return a pose as rotation vector and translation, (6,)."""
-    return np.concatenate([cv2.Rodrigues(pose.rotation)[0].ravel(), pose.translation_mm])
-
-
-def vector_pose(vector: Array) -> RigidTransform:
-    """Invert :func:`pose_vector`."""
-    return RigidTransform(cv2.Rodrigues(np.array(vector[:3]))[0], np.array(vector[3:]))
+    def shared_names(self) -> tuple[str, ...]:
+        free = zip(LENS_PARAMETERS, self.free_camera, self.free_projector, strict=True)
+        chosen = list(free)
+        return (
+            *(f"camera.{name}" for name, own, _ in chosen if own),
+            *(f"projector.{name}" for name, _, own in chosen if own),
+            *(f"projector.{name}" for name in POSE_PARAMETERS if self.sizes[2]),
+        )
 
 
 def _with(lens: Lens, free: NDArray[np.bool_], values: Array) -> Lens:

@@ -78,7 +78,8 @@ def fit_corners(image: NDArray[np.floating], starts: Array, radius_px: float) ->
     relative = places - starts[chosen, None]
     vector, usable = _start(image, starts[chosen], values, radius)
     usable &= np.isfinite(values).all(axis=1)
-    chosen, vector, values, relative = (a[usable] for a in (chosen, vector, values, relative))
+    chosen, vector = chosen[usable], vector[usable]
+    values, relative = values[usable], relative[usable]
     if not chosen.size:
         return failed
     vector, sigma, quality = _solve(vector, values, relative)

@@ -7,23 +7,35 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibrate.bundle_adjustment import Adjusted, BoardView, Start, adjust
+from pipeline.calibrate.given import (
+    given_lenses,
+    given_projector,
+    is_complete,
+    lens_of,
+    pose_of,
+    scan_camera_of,
+    to_calibrate,
+)
 from pipeline.calibrate.initial import FEWEST_VIEWS, board_pose, start_lens, start_projector
+from pipeline.calibrate.residuals import PROJECTOR, view_residuals
 from pipeline.calibrate.turntable import turntable_axis
 from pipeline.calibrate.views import Views, find_views
 from pipeline.engine.stage import Log
 from pipeline.errors import ImpastoError
+from pipeline.formats.board_residuals import BoardResiduals, Correlation, ViewResiduals
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.calibration import Calibration, Light, Residuals, Turntable
-from pipeline.formats.capture import CameraEntry, Capture, ProjectorEntry
+from pipeline.formats.capture import Capture
 from pipeline.geometry.camera import Camera, Lens
 from pipeline.geometry.rigid import RigidTransform
 
-PROJECTOR = "projector"
 _SIGNIFICANT = 3.0
 
 
-def calibrate_rig(bundle: Bundle, worst_view: float, log: Log) -> Calibration:
-    """Take what the bundle gives and calibrate the rest.
+def calibrate_rig(
+    bundle: Bundle, worst_view: float, log: Log
+) -> tuple[Calibration, BoardResiduals]:
+    """Take what the bundle gives and calibrate the rest; tell how the boards fit.
 
     Raises
     ------
@@ -31,12 +43,12 @@ def calibrate_rig(bundle: Bundle, worst_view: float, log: Log) -> Calibration:
         Something that the scan needs is neither given nor to be found, naming the key.
     """
     capture = bundle.capture
-    scan_camera = _scan_camera(capture)
-    wanted = _wanted(capture, scan_camera)
+    scan_camera = scan_camera_of(capture)
+    wanted = to_calibrate(capture, scan_camera)
     sequences = [s for s in capture.sequences if s.purpose == "calibrate" and s.camera in wanted]
     views = Views()
     if sequences:
-        needs_projector = capture.projector is not None and not _complete(capture.projector)
+        needs_projector = capture.projector is not None and not is_complete(capture.projector)
         views = find_views(
             bundle,
             sequences,
@@ -48,11 +60,16 @@ def calibrate_rig(bundle: Bundle, worst_view: float, log: Log) -> Calibration:
     for name, reason in views.left_out.items():
         log.warning(f"{name} is left out: {reason}")
 
-    lenses, residuals, origin = _given_lenses(capture)
-    projector: Camera | None = _given_projector(capture.projector)
+    lenses = given_lenses(capture)
+    residuals: dict[str, Residuals] = {}
+    origin = dict.fromkeys(lenses, "given")
+    projector: Camera | None = given_projector(capture.projector)
     if projector is not None:
         origin[PROJECTOR] = "given"
     boards: dict[str, RigidTransform] = {}
+    seen: list[ViewResiduals] = []
+    correlations: list[Correlation] = []
+    left_out = dict(views.left_out)
     for name in wanted:
         own = views.by_camera.get(name, [])
         with_projector = capture.projector is not None and name == capture.projector.camera
@@ -62,6 +79,11 @@ def calibrate_rig(bundle: Bundle, worst_view: float, log: Log) -> Calibration:
             capture, name, own, lenses.get(name), with_projector, worst_view, log
         )
         boards |= dict(zip((view.name for view in kept), adjusted.boards, strict=True))
+        seen += view_residuals(name, kept, adjusted)
+        if adjusted.correlation is not None and adjusted.parameters:
+            correlations.append(Correlation(adjusted.parameters, adjusted.correlation))
+        gone = {view.name for view in own} - {view.name for view in kept}
+        left_out |= dict.fromkeys(sorted(gone), "its corners disagree with the other views")
         if name not in lenses:
             lenses[name], origin[name] = adjusted.camera, "calibrated"
             residuals[name] = Residuals(
@@ -81,76 +103,9 @@ def calibrate_rig(bundle: Bundle, worst_view: float, log: Log) -> Calibration:
             lenses[name], origin[name] = lenses[camera.lens_of], origin[camera.lens_of]
     for name in sorted(capture.cameras.keys() - lenses.keys()):
         log.skipped(f"camera {name}", "no lens is given for it and no board was recorded with it")
-    return _assemble(capture, scan_camera, lenses, residuals, origin, projector, boards)
-
-
-def _scan_camera(capture: Capture) -> str:
-    scans = [s.camera for s in capture.sequences if s.purpose == "scan"]
-    if scans:
-        return scans[0]
-    return capture.projector.camera if capture.projector else next(iter(capture.cameras))
-
-
-def _wanted(capture: Capture, scan_camera: str) -> list[str]:
-    """Name the cameras to calibrate from boards, the scan's first; say what cannot be found."""
-    recorded = {s.camera for s in capture.sequences if s.purpose == "calibrate"}
-    wanted = []
-    for name in sorted(capture.cameras, key=lambda name: name != scan_camera):
-        source = capture.cameras[name].lens_of or name
-        for_projector = capture.projector is not None and capture.projector.camera == name
-        incomplete = capture.projector is not None and not _complete(capture.projector)
-        if capture.cameras[source].K is None or (for_projector and incomplete):
-            if name in recorded:
-                wanted.append(name)
-            elif (
-                capture.cameras[source].K is None and name == scan_camera and source not in recorded
-            ):
-                raise _missing(f"cameras.{source}.K", f"the lens of camera {name}")
-            elif for_projector and incomplete:
-                raise _missing("projector.K", "the projector")
-    return wanted
-
-
-def _missing(key: str, what: str) -> ImpastoError:
-    return ImpastoError(
-        f"{what} is neither given nor to be calibrated",
-        where=f"capture.json: {key}",
-        expected="the values, or sequences of purpose calibrate with a board",
-    )
-
-
-def _complete(entry: ProjectorEntry) -> bool:
-    return entry.K is not None and entry.R is not None
-
-
-def _lens(entry: CameraEntry | ProjectorEntry) -> Lens | None:
-    if entry.K is None:
-        return None
-    distortion = np.array(entry.distortion or (0.0,) * 5)
-    return Lens(entry.size_px, np.array(entry.K), distortion)
-
-
-def _pose(entry: CameraEntry | ProjectorEntry) -> RigidTransform | None:
-    if entry.R is None or entry.t_mm is None:
-        return None
-    return RigidTransform(np.array(entry.R), np.array(entry.t_mm))
-
-
-def _given_lenses(
-    capture: Capture,
-) -> tuple[dict[str, Lens], dict[str, Residuals], dict[str, str]]:
-    lenses = {}
-    for name, entry in capture.cameras.items():
-        lens = _lens(capture.cameras[entry.lens_of or name])
-        if lens is not None:
-            lenses[name] = lens
-    return lenses, {}, dict.fromkeys(lenses, "given")
-
-
-def _given_projector(entry: ProjectorEntry | None) -> Camera | None:
-    """Return the projector seen from its camera, if it is given completely."""
-    lens, pose = (None, None) if entry is None else (_lens(entry), _pose(entry))
-    return Camera(lens, pose) if lens is not None and pose is not None else None
+    calibration = _assemble(capture, scan_camera, lenses, residuals, origin, projector, boards)
+    fit = BoardResiduals(tuple(seen), tuple(correlations), tuple(left_out.items()))
+    return calibration, fit
 
 
 def _calibrate(
@@ -173,8 +128,8 @@ def _calibrate(
         boards = tuple(board_pose(start_from, view.points, view.camera_px) for view in views)
         projector, entry = None, capture.projector
         if with_projector and entry is not None:
-            projector = start_projector(views, boards, _lens(entry), entry.size_px)
-            pose = _pose(entry)
+            projector = start_projector(views, boards, lens_of(entry), entry.size_px)
+            pose = pose_of(entry)
             projector = projector if pose is None else Camera(projector.lens, pose)
         start = Start(
             start_from,
@@ -229,9 +184,9 @@ def _assemble(
     boards: dict[str, RigidTransform],
 ) -> Calibration:
     """Put all devices into the scan's frame: the rig's where it is defined, else the camera's."""
-    in_rig = _pose(capture.cameras[scan_camera]) is not None
+    in_rig = pose_of(capture.cameras[scan_camera]) is not None
     if in_rig:
-        poses = {n: p for n in lenses if (p := _pose(capture.cameras[n])) is not None}
+        poses = {n: p for n in lenses if (p := pose_of(capture.cameras[n])) is not None}
     else:
         poses = {scan_camera: RigidTransform()}
     if projector is not None and capture.projector is not None:

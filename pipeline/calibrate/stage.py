@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.engine.stage import Log, Stage, reads_bundle, writes
+from pipeline.formats.board_residuals import BOARD_RESIDUALS, BoardResiduals
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.calibration import CALIBRATION, Calibration
 
@@ -20,9 +21,10 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """The rig."""
+    """The rig, and how the boards fit it."""
 
     calibration: Calibration = writes(CALIBRATION)
+    residuals: BoardResiduals = writes(BOARD_RESIDUALS)
 
 
 class Config(BaseModel):
@@ -39,17 +41,17 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     """Put together what is given and what has to be found; spec of the capture bundle."""
     from pipeline.calibrate.rig import calibrate_rig
 
-    calibration = calibrate_rig(inputs.bundle, config.worst_view, log)
-    for name, residuals in calibration.residuals.items():
-        if residuals.rms_px is not None:
-            log.metric(f"reprojection_error_{name}_px", residuals.rms_px)
+    calibration, residuals = calibrate_rig(inputs.bundle, config.worst_view, log)
+    for name, fit in calibration.residuals.items():
+        if fit.rms_px is not None:
+            log.metric(f"reprojection_error_{name}_px", fit.rms_px)
     if calibration.projector is not None:
         import numpy as np
 
         camera = calibration.camera(calibration.scan_camera)
         baseline = calibration.projector.centre_mm - camera.centre_mm
         log.metric("baseline_mm", float(np.linalg.norm(baseline)))
-    return Outputs(calibration)
+    return Outputs(calibration, residuals)
 
 
-STAGE = Stage("calibrate", version=1, inputs=Inputs, outputs=Outputs, config=Config, run=run)
+STAGE = Stage("calibrate", version=2, inputs=Inputs, outputs=Outputs, config=Config, run=run)

@@ -37,6 +37,25 @@ def figure(
     )
 
 
+def drawing(svg: str, caption: str) -> str:
+    """Return an SVG drawing, made by this package only, with its caption."""
+    return (
+        f'<figure><div class="picture">{svg}</div><figcaption>{escape(caption)}</figcaption>'
+        "</figure>"
+    )
+
+
+def bullets(lines: Iterable[str]) -> str:
+    """Return a list; nothing for no lines."""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f"<ul>{items}</ul>" if items else ""
+
+
+def details(summary: str, body: str) -> str:
+    """Return what opens only when asked."""
+    return f"<details><summary>{escape(summary)}</summary>{body}</details>"
+
+
 def legend(scale: FalseColour) -> str:
     """Return the colour bar of a picture in false colour, with its ends and unit."""
     bar = data_uri(scale.legend, lossless=True)

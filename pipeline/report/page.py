@@ -12,12 +12,14 @@ from pipeline.engine.workspace import Workspace
 from pipeline.errors import ImpastoError
 from pipeline.formats.artifact import Artifact
 from pipeline.formats.atomic import write_text_atomically
+from pipeline.formats.board_residuals import BOARD_RESIDUALS
 from pipeline.formats.boxes import BOXES
 from pipeline.formats.bundle import Bundle, open_bundle
+from pipeline.formats.calibration import CALIBRATION
 from pipeline.formats.height_field import HEIGHT, HeightField
 from pipeline.formats.range_image import RANGE, TEXTURE
 from pipeline.recipe import RECIPE
-from pipeline.report import html, sections
+from pipeline.report import calibration, html, sections
 from pipeline.report.truth import TruthErrors
 
 FOLDERS = {"pack": "asset"}
@@ -117,6 +119,10 @@ def _parts(
         parts.append(("renders", "Renders", sections.pictures(pictures)))
     if contents.bundle is not None:
         parts.append(("capture", "Capture", sections.capture(contents.bundle)))
+    rig = _load(workspace, manifests, "calibrate", CALIBRATION)
+    fit = _load(workspace, manifests, "calibrate", BOARD_RESIDUALS)
+    if rig is not None and fit is not None:
+        parts.append(("calibration", "Calibration", calibration.calibration(rig, fit)))
     range_image = _load(workspace, manifests, "scan", RANGE)
     if range_image is not None:
         texture = _load(workspace, manifests, "scan", TEXTURE)
