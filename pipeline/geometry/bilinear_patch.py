@@ -49,14 +49,14 @@ class Ray(NamedTuple):
     ahead_row: int
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def interpolate(a, b, f):  # type: ignore[no-untyped-def]
     """Interpolate from a to b; exact at both ends, and where a = b."""
     difference = b - a
     return a + f * difference if f < 0.5 else b - (1.0 - f) * difference
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def patch_hit(h00, h10, h01, h11, column, row, ray, t_begin, t_end):  # type: ignore[no-untyped-def]
     """Return the smallest t at which a ray meets a patch, or infinity.
 

@@ -28,6 +28,9 @@ LEAST, MOST = 1e-100, 1e100
 FAR = 1e7
 """Origins farther away than this many samples are first moved to the field's edge."""
 
+_HIGHEST_START = 2
+"""Walks begin at this level or below; they rise where they find nothing."""
+
 _SLACK = 1e-7
 """Widening of areas, in samples: more than the rounding of a position seen from ``FAR``."""
 
@@ -265,51 +268,74 @@ def hit_at(heights, i, j, ray, t_begin, t_end):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def walk(field, ray, t_begin, t_end, t0, t1, margin):  # type: ignore[no-untyped-def]
     """Walk [t0, t1], which lies in the field's [t_begin, t_end], front to back to the first hit."""
-    heights, bounds, levels = field.heights, field.bounds, field.levels
     if not t0 <= t1:
         return MISS
-    x, y, per_x, per_y = ray.side_column, ray.side_row, ray.per_column, ray.per_row
-    ahead_x, ahead_y = ray.ahead_column, ray.ahead_row
-    step_x, step_y = 2 * ahead_x - 1, 2 * ahead_y - 1
+    level, i, j = first_cell(field, ray, t0, t1, field.levels.shape[0] - 1)
+    return resume(field, ray, t_begin, t_end, t0, t1, margin, level, i, j)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def first_cell(field, ray, t0, t1, top_level):  # type: ignore[no-untyped-def]
+    """Return level, column and row of the cell where a walk from t0 to t1 begins."""
     i, j = locate(field, ray, t0)
+    reach = max(abs(ray.to_column), abs(ray.to_row)) * (t1 - t0)
+    level = min(min(level_of(0.25 * reach), top_level), _HIGHEST_START)
+    # A ray that starts at 0 is close to the surface, where small cells serve it better.
+    level = level if t0 > 0.0 else 0
+    return level, i >> level, j >> level
+
+
+@njit(cache=True, error_model="numpy")
+def resume(field, ray, t_begin, t_end, t, t1, margin, level, i, j):  # type: ignore[no-untyped-def]
+    """Walk on from t, where the ray enters cell (i, j) of a level; see :func:`walk`."""
+    heights, bounds, levels = field.heights, field.bounds, field.levels
     top_level = levels.shape[0] - 1
-    level = 0
-    if t0 > 0.0:  # else the ray starts close to the surface, where small cells serve it better
-        reach = max(abs(ray.to_column), abs(ray.to_row)) * (t1 - t0)
-        level = min(level_of(0.25 * reach), top_level)
-        i >>= level
-        j >>= level
-    t = t0
-    while True:
-        leave_x = (float((i + ahead_x) << level) - x) * per_x
-        leave_y = (float((j + ahead_y) << level) - y) * per_y
-        leave = min(leave_x, leave_y)
+    while t <= t1:
         if level == 0:
             hit = hit_at(heights, i, j, ray, t_begin, t_end)
             if hit < MISS:
                 return hit
+            level, i, j, t = pass_on(ray, level, i, j, t1, top_level)
         else:
             cell = np.uintp(levels[level, 0] + j * levels[level, 1] + i)
             high, low = np.float64(bounds[cell, 0]) + margin, np.float64(bounds[cell, 1]) - margin
-            enter, end = clip(ray.z, ray.per_z, t, leave, low, high)
-            if enter <= end:
-                t = enter
-                level -= 1
-                middle_x = (float((2 * i + 1) << level) - x) * per_x
-                middle_y = (float((2 * j + 1) << level) - y) * per_y
-                i = 2 * i + int((t > middle_x) if ahead_x else (t < middle_x))
-                j = 2 * j + int((t > middle_y) if ahead_y else (t < middle_y))
-                continue
-        if leave >= t1:
-            return MISS
-        t = leave
-        if leave_x <= leave_y:
-            i += step_x
-            rise = (i & 1) != ahead_x and level < top_level
-        else:
-            j += step_y
-            rise = (j & 1) != ahead_y and level < top_level
-        if rise:
-            level += 1
-            i >>= 1
-            j >>= 1
+            level, i, j, t = pass_cell(ray, level, i, j, t, t1, high, low, top_level)
+    return MISS
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def pass_cell(ray, level, i, j, t, t1, high, low, top_level):  # type: ignore[no-untyped-def]
+    """Go into a cell of a level above 0 where the ray may meet its heights, else past it.
+
+    Returns the next level, column, row and t (NaN: the walk is at its end).
+    """
+    leave_x = (float((i + ray.ahead_column) << level) - ray.side_column) * ray.per_column
+    leave_y = (float((j + ray.ahead_row) << level) - ray.side_row) * ray.per_row
+    enter, end = clip(ray.z, ray.per_z, t, min(leave_x, leave_y), low, high)
+    below = max(level - 1, 0)
+    middle_x = (float((2 * i + 1) << below) - ray.side_column) * ray.per_column
+    middle_y = (float((2 * j + 1) << below) - ray.side_row) * ray.per_row
+    in_i = 2 * i + int((enter > middle_x) if ray.ahead_column else (enter < middle_x))
+    in_j = 2 * j + int((enter > middle_y) if ray.ahead_row else (enter < middle_y))
+    past_level, past_i, past_j, past_t = pass_on(ray, level, i, j, t1, top_level)
+    goes_in = enter <= end
+    return (
+        below if goes_in else past_level,
+        in_i if goes_in else past_i,
+        in_j if goes_in else past_j,
+        enter if goes_in else past_t,
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def pass_on(ray, level, i, j, t1, top_level):  # type: ignore[no-untyped-def]
+    """Go to the next cell, a larger one where that begins; return as :func:`pass_cell`."""
+    leave_x = (float((i + ray.ahead_column) << level) - ray.side_column) * ray.per_column
+    leave_y = (float((j + ray.ahead_row) << level) - ray.side_row) * ray.per_row
+    across = leave_x <= leave_y
+    leave = leave_x if across else leave_y
+    i += (2 * ray.ahead_column - 1) if across else 0
+    j += 0 if across else (2 * ray.ahead_row - 1)
+    begins = ((i & 1) != ray.ahead_column) if across else ((j & 1) != ray.ahead_row)
+    rise = int(begins & (level < top_level))
+    return level + rise, i >> rise, j >> rise, np.nan if leave >= t1 else leave

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from pipeline.geometry.bilinear_patch import MISS, Ray
+from pipeline.geometry.bilinear_patch import MISS, Ray, patch_hit
 from pipeline.geometry.maximum_mipmap import build_maximum_mipmap
 from pipeline.geometry.ray_walk import (
     FAR,
@@ -25,11 +25,12 @@ from pipeline.geometry.ray_walk import (
     SMALLEST_SHARE,
     area_bounds,
     clip,
+    first_cell,
     first_hit,
-    hit_at,
-    locate,
+    pass_cell,
+    pass_on,
+    resume,
     shorten,
-    walk,
     whole_bounds,
 )
 
@@ -39,7 +40,34 @@ PACKET = 32
 _BLOCK = 128 * PACKET
 _GLANCES = 3
 _SMALL = 2 * PACKET
-_SHORT = 1.0
+_GROUP = 8
+_STRIDE = 2.0
+_MOST_STEPS = 64.0
+_FEW = 4
+
+# Where a packet's values begin, each for PACKET rays.
+_COLUMN = 0 * PACKET
+_ROW = 1 * PACKET
+_Z = 2 * PACKET
+_TO_COLUMN = 3 * PACKET
+_TO_ROW = 4 * PACKET
+_TO_Z = 5 * PACKET
+_PER_COLUMN = 6 * PACKET
+_PER_ROW = 7 * PACKET
+_PER_Z = 8 * PACKET
+_BEGIN = 9 * PACKET
+_END = 10 * PACKET
+_T0 = 11 * PACKET
+_T1 = 12 * PACKET
+_MARGIN = 13 * PACKET
+_A = 14 * PACKET
+_B = 15 * PACKET
+_C = 16 * PACKET
+_D = 17 * PACKET
+_HIT = 18 * PACKET
+_LEVEL = 0 * PACKET
+_I = 1 * PACKET
+_J = 2 * PACKET
 
 
 class RayCaster:
@@ -145,12 +173,16 @@ def _cast(field, per_mm, origins, ends, t_max, margin_mm, result):  # type: igno
     """Cast rays (``margin_mm`` < 0: ``ends`` are directions) or test ways to targets."""
     count = len(result)
     for block in prange((count + _BLOCK - 1) // _BLOCK):
-        packet = np.empty((14, PACKET))
+        packet = np.zeros(19 * PACKET)
+        cells = np.zeros(3 * PACKET, np.int64)
         for start in range(block * _BLOCK, min(count, (block + 1) * _BLOCK), PACKET):
             size = min(count - start, PACKET)
             _load(field, per_mm, origins, ends, t_max, margin_mm, start, size, packet, result)
             if _glance(field, packet, size):
-                _finish(field, packet, size, start, result)
+                _approach(field, packet, 0, size)
+                for first in range(0, size, _GROUP):
+                    _approach(field, packet, first, min(first + _GROUP, size))
+                _finish(field, packet, cells, size, start, result)
 
 
 @njit(cache=True, error_model="numpy")
@@ -188,29 +220,33 @@ def _load(field, per_mm, origins, ends, t_max, margin_mm, start, size, packet, r
         largest = max(max(abs(to_column), abs(to_row)), abs(to_z))
         smallest = min(min(abs(to_column), abs(to_row)), abs(to_z))
         plain = (largest > LEAST) & (largest < MOST) & (smallest > SMALLEST_SHARE * largest)
-        plain &= (abs(column) + abs(row) < FAR) & (abs(z) < MOST)
-        packet[0, k], packet[1, k], packet[2, k] = column, row, z
-        packet[3, k], packet[4, k], packet[5, k] = to_column, to_row, to_z
-        packet[6, k], packet[7, k], packet[8, k] = per_column, per_row, per_z
-        packet[9, k], packet[10, k] = t0, t1
-        packet[11, k], packet[12, k] = t0 if plain else np.inf, t1 if plain else limit
-        packet[13, k] = margin
+        plain &= (abs(column) + abs(row) < FAR) & (abs(z) < MOST) & (t1 < np.inf)
+        packet[_COLUMN + k], packet[_ROW + k], packet[_Z + k] = column, row, z
+        packet[_TO_COLUMN + k], packet[_TO_ROW + k], packet[_TO_Z + k] = to_column, to_row, to_z
+        packet[_PER_COLUMN + k], packet[_PER_ROW + k], packet[_PER_Z + k] = (
+            per_column,
+            per_row,
+            per_z,
+        )
+        packet[_BEGIN + k], packet[_END + k] = t0, t1
+        packet[_T0 + k], packet[_T1 + k] = t0 if plain else np.inf, t1 if plain else limit
+        packet[_MARGIN + k] = margin
         result[n] = MISS
         awkward += 0 if plain else 1
     if awkward > 0:
         for k in range(size):
-            if packet[11, k] == np.inf:
+            if packet[_T0 + k] == np.inf:
                 result[start + k] = first_hit(
                     field,
-                    packet[0, k],
-                    packet[1, k],
-                    packet[2, k],
-                    packet[3, k],
-                    packet[4, k],
-                    packet[5, k],
-                    packet[12, k],
+                    packet[_COLUMN + k],
+                    packet[_ROW + k],
+                    packet[_Z + k],
+                    packet[_TO_COLUMN + k],
+                    packet[_TO_ROW + k],
+                    packet[_TO_Z + k],
+                    packet[_T1 + k],
                 )
-                packet[12, k] = -np.inf
+                packet[_T1 + k] = -np.inf
 
 
 @njit(cache=True, error_model="numpy")
@@ -220,23 +256,29 @@ def _glance(field, packet, size):  # type: ignore[no-untyped-def]
         low_column, high_column, low_row, high_row = np.inf, -np.inf, np.inf, -np.inf
         left = 0
         for k in range(size):
-            t0, t1 = packet[11, k], packet[12, k]
+            t0, t1 = packet[_T0 + k], packet[_T1 + k]
             if t0 <= t1:
                 left += 1
-                a, b = packet[0, k] + t0 * packet[3, k], packet[0, k] + t1 * packet[3, k]
+                a, b = (
+                    packet[_COLUMN + k] + t0 * packet[_TO_COLUMN + k],
+                    packet[_COLUMN + k] + t1 * packet[_TO_COLUMN + k],
+                )
                 low_column, high_column = min(low_column, min(a, b)), max(high_column, max(a, b))
-                a, b = packet[1, k] + t0 * packet[4, k], packet[1, k] + t1 * packet[4, k]
+                a, b = (
+                    packet[_ROW + k] + t0 * packet[_TO_ROW + k],
+                    packet[_ROW + k] + t1 * packet[_TO_ROW + k],
+                )
                 low_row, high_row = min(low_row, min(a, b)), max(high_row, max(a, b))
         if left == 0:
             return False
         high, low, extent = area_bounds(field, low_column, high_column, low_row, high_row)
         for k in range(size):
-            margin = packet[13, k]
-            packet[11, k], packet[12, k] = clip(
-                packet[2, k],
-                packet[8, k],
-                packet[11, k],
-                packet[12, k],
+            margin = packet[_MARGIN + k]
+            packet[_T0 + k], packet[_T1 + k] = clip(
+                packet[_Z + k],
+                packet[_PER_Z + k],
+                packet[_T0 + k],
+                packet[_T1 + k],
                 low - margin,
                 high + margin,
             )
@@ -246,60 +288,212 @@ def _glance(field, packet, size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _finish(field, packet, size, start, result):  # type: ignore[no-untyped-def]
-    """Shorten each ray by the surface under itself, then walk it."""
-    for k in range(size):
-        packet[11, k], packet[12, k] = shorten(
-            field,
-            packet[0, k],
-            packet[1, k],
-            packet[2, k],
-            packet[3, k],
-            packet[4, k],
-            packet[8, k],
-            packet[11, k],
-            packet[12, k],
-            packet[13, k],
-        )
-    for k in range(size):
-        t0, t1 = packet[11, k], packet[12, k]
-        reach = max(abs(packet[3, k]), abs(packet[4, k])) * (t1 - t0)
-        if 0.0 < t0 <= t1 and reach < _SHORT:
-            ray = _unpack(packet, k)
-            i, j = locate(field, ray, t0)
-            hit = hit_at(field.heights, i, j, ray, packet[9, k], packet[10, k])
-            result[start + k] = hit
-            leave_column = (float(i + ray.ahead_column) - ray.column) * ray.per_column
-            leave_row = (float(j + ray.ahead_row) - ray.row) * ray.per_row
-            leave = min(leave_column, leave_row)
-            packet[11, k] = leave if hit == MISS and leave < t1 else np.inf
-    for k in range(size):
-        if packet[11, k] <= packet[12, k]:
-            result[start + k] = walk(
-                field,
-                _unpack(packet, k),
-                packet[9, k],
-                packet[10, k],
-                packet[11, k],
-                packet[12, k],
-                packet[13, k],
+def _approach(field, packet, first, end):  # type: ignore[no-untyped-def]
+    """Move a group of rays forward together for as long as they are clear of the surface.
+
+    The box around the group's positions at t is held by the one interpolated between the boxes at
+    both ends of the stretch, for the least of linear functions is concave, the largest convex.
+    """
+    t_first, t_last, margin = np.inf, -np.inf, 0.0
+    for k in range(first, end):
+        if packet[_T0 + k] <= packet[_T1 + k]:
+            t_first, t_last = min(t_first, packet[_T0 + k]), max(t_last, packet[_T1 + k])
+            margin = max(margin, packet[_MARGIN + k])
+    if not 0.0 < t_first < t_last:
+        return
+    c0, c1, r0, r1, z0, z1 = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf
+    C0, C1, R0, R1, Z0, Z1 = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf
+    for k in range(first, end):
+        if packet[_T0 + k] <= packet[_T1 + k]:
+            a, b = (
+                packet[_COLUMN + k] + t_first * packet[_TO_COLUMN + k],
+                packet[_COLUMN + k] + t_last * packet[_TO_COLUMN + k],
             )
+            c0, c1, C0, C1 = min(c0, a), max(c1, a), min(C0, b), max(C1, b)
+            a, b = (
+                packet[_ROW + k] + t_first * packet[_TO_ROW + k],
+                packet[_ROW + k] + t_last * packet[_TO_ROW + k],
+            )
+            r0, r1, R0, R1 = min(r0, a), max(r1, a), min(R0, b), max(R1, b)
+            a, b = (
+                packet[_Z + k] + t_first * packet[_TO_Z + k],
+                packet[_Z + k] + t_last * packet[_TO_Z + k],
+            )
+            z0, z1, Z0, Z1 = min(z0, a), max(z1, a), min(Z0, b), max(Z1, b)
+    margin += RELATIVE_MARGIN * (max(abs(z0), abs(z1)) + max(abs(Z0), abs(Z1)))
+    width = max(max(c1 - c0, r1 - r0), _STRIDE)
+    reach = max(abs(C0 - c0), abs(R0 - r0))
+    steps = int(min(reach / width, _MOST_STEPS))
+    clear = 0
+    a, b, c, d, z, Z = c0, c1, r0, r1, z0, z1
+    for step in range(1, steps):
+        f = step / steps
+        g = 1.0 - f
+        a1, b1, d0, d1 = g * c0 + f * C0, g * c1 + f * C1, g * r0 + f * R0, g * r1 + f * R1
+        y0, y1 = g * z0 + f * Z0, g * z1 + f * Z1
+        high, low, _ = area_bounds(field, min(a, a1), max(b, b1), min(c, d0), max(d, d1))
+        if not (min(z, y0) > high + margin or max(Z, y1) < low - margin):
+            break
+        a, b, c, d, z, Z = a1, b1, d0, d1, y0, y1
+        clear = step
+    if clear > 0:
+        t = t_first + (t_last - t_first) * (clear / steps) * (1.0 - 1e-12)
+        for k in range(first, end):
+            t0 = packet[_T0 + k]
+            packet[_T0 + k] = t if t0 < t else t0  # NaN, of no ray, stays
 
 
 @njit(cache=True, error_model="numpy")
+def _finish(field, packet, cells, size, start, result):  # type: ignore[no-untyped-def]
+    """Shorten each ray by the surface under itself, then walk all of them in step.
+
+    The steps of a ray are those of :func:`pipeline.geometry.ray_walk.walk`, in the same order.
+    """
+    for k in range(size):
+        packet[_T0 + k], packet[_T1 + k] = shorten(
+            field,
+            packet[_COLUMN + k],
+            packet[_ROW + k],
+            packet[_Z + k],
+            packet[_TO_COLUMN + k],
+            packet[_TO_ROW + k],
+            packet[_PER_Z + k],
+            packet[_T0 + k],
+            packet[_T1 + k],
+            packet[_MARGIN + k],
+        )
+    for k in range(size, PACKET):
+        packet[_T1 + k] = -np.inf
+    for k in range(PACKET):
+        packet[_HIT + k] = MISS
+    _place(field, packet, cells)
+    left = PACKET
+    while left > _FEW:
+        waiting = _enter_cells(field, packet, cells)
+        while waiting > _FEW:
+            waiting = _enter_cells(field, packet, cells)
+        left = _meet_patches(field, packet, cells)
+    for k in range(size):
+        hit = packet[_HIT + k]
+        if packet[_T0 + k] <= packet[_T1 + k]:
+            hit = resume(
+                field,
+                _unpack(packet, k),
+                packet[_BEGIN + k],
+                packet[_END + k],
+                packet[_T0 + k],
+                packet[_T1 + k],
+                packet[_MARGIN + k],
+                cells[_LEVEL + k],
+                cells[_I + k],
+                cells[_J + k],
+            )
+        if hit < MISS:
+            result[start + k] = hit
+
+
+@njit(cache=True, error_model="numpy")
+def _place(field, packet, cells):  # type: ignore[no-untyped-def]
+    """Put each ray on the first cell of its walk."""
+    top_level = field.levels.shape[0] - 1
+    for k in range(PACKET):
+        cells[_LEVEL + k], cells[_I + k], cells[_J + k] = first_cell(
+            field, _unpack(packet, k), packet[_T0 + k], packet[_T1 + k], top_level
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def _enter_cells(field, packet, cells):  # type: ignore[no-untyped-def]
+    """Enter or pass the cells of all rays not at a patch; return how many still are not at one."""
+    bounds, levels = field.bounds, field.levels
+    top_level = levels.shape[0] - 1
+    for k in range(PACKET):
+        level = cells[_LEVEL + k]
+        if packet[_T0 + k] <= packet[_T1 + k] and level > 0:
+            cell = np.uintp(levels[level, 0] + cells[_J + k] * levels[level, 1] + cells[_I + k])
+            packet[_A + k], packet[_B + k] = bounds[cell, 0], bounds[cell, 1]
+    waiting = 0
+    for k in range(PACKET):
+        level, i, j, t = cells[_LEVEL + k], cells[_I + k], cells[_J + k], packet[_T0 + k]
+        t1, margin = packet[_T1 + k], packet[_MARGIN + k]
+        at_cell = (level > 0) & (t <= t1)
+        new_level, new_i, new_j, new_t = pass_cell(
+            _unpack(packet, k),
+            level,
+            i,
+            j,
+            t,
+            t1,
+            packet[_A + k] + margin,
+            packet[_B + k] - margin,
+            top_level,
+        )
+        level = new_level if at_cell else level
+        t = new_t if at_cell else t
+        cells[_LEVEL + k] = level
+        cells[_I + k] = new_i if at_cell else i
+        cells[_J + k] = new_j if at_cell else j
+        packet[_T0 + k] = t
+        waiting += 1 if (level > 0) & (t <= t1) else 0
+    return waiting
+
+
+@njit(cache=True, error_model="numpy")
+def _meet_patches(field, packet, cells):  # type: ignore[no-untyped-def]
+    """Meet the patches of all rays that are at one; return how many rays are left."""
+    heights = field.heights
+    top_level = field.levels.shape[0] - 1
+    for k in range(PACKET):
+        if packet[_T0 + k] <= packet[_T1 + k] and cells[_LEVEL + k] == 0:
+            i, j = np.uintp(cells[_I + k]), np.uintp(cells[_J + k])
+            i1, j1 = i + np.uintp(1), j + np.uintp(1)
+            packet[_A + k], packet[_B + k] = heights[j, i], heights[j, i1]
+            packet[_C + k], packet[_D + k] = heights[j1, i], heights[j1, i1]
+    left = 0
+    for k in range(PACKET):
+        level, i, j, t = cells[_LEVEL + k], cells[_I + k], cells[_J + k], packet[_T0 + k]
+        t1 = packet[_T1 + k]
+        at_patch = (level == 0) & (t <= t1)
+        ray = _unpack(packet, k)
+        hit = patch_hit(
+            packet[_A + k],
+            packet[_B + k],
+            packet[_C + k],
+            packet[_D + k],
+            i,
+            j,
+            ray,
+            packet[_BEGIN + k],
+            packet[_END + k],
+        )
+        new_level, new_i, new_j, new_t = pass_on(ray, level, i, j, t1, top_level)
+        new_t = np.nan if hit < MISS else new_t
+        t = new_t if at_patch else t
+        cells[_LEVEL + k] = new_level if at_patch else level
+        cells[_I + k] = new_i if at_patch else i
+        cells[_J + k] = new_j if at_patch else j
+        packet[_T0 + k] = t
+        packet[_HIT + k] = hit if at_patch else packet[_HIT + k]
+        left += 1 if t <= t1 else 0
+    return left
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _unpack(packet, k):  # type: ignore[no-untyped-def]
+    column, row = packet[_COLUMN + k], packet[_ROW + k]
+    to_column, to_row = packet[_TO_COLUMN + k], packet[_TO_ROW + k]
     return Ray(
-        packet[0, k],
-        packet[1, k],
-        packet[2, k],
-        packet[3, k],
-        packet[4, k],
-        packet[5, k],
-        packet[6, k],
-        packet[7, k],
-        packet[8, k],
-        packet[0, k],
-        packet[1, k],
-        1 if packet[3, k] >= 0.0 else 0,
-        1 if packet[4, k] >= 0.0 else 0,
+        column,
+        row,
+        packet[_Z + k],
+        to_column,
+        to_row,
+        packet[_TO_Z + k],
+        packet[_PER_COLUMN + k],
+        packet[_PER_ROW + k],
+        packet[_PER_Z + k],
+        column,
+        row,
+        1 if to_column >= 0.0 else 0,
+        1 if to_row >= 0.0 else 0,
     )
