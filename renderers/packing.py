@@ -14,8 +14,10 @@ from renderers.view import Light, View, canvas_corners
 Array = NDArray[np.float64]
 
 NEAR_MM = 0.01
-CEILING_TILE = 8
-"""Side of a tile of :func:`ceilings`, texels; ``intersect.wgsl`` has the same."""
+SHADOW_MARGIN = 0.05
+"""Start of a shadow ray that is not tested, in sample spacings: the surface's own rounding."""
+
+_FAR = 1e30
 
 FRAME = np.dtype(
     [
@@ -64,7 +66,7 @@ def pack_frame(
     frame["plane"], frame["bottom"], frame["top"] = asset.boxes.d0_mm, bottom, top
     frame["camera"], frame["near"] = view.camera.centre_mm, NEAR_MM
     frame["to_grid"] = per_mm, per_mm, 1.0
-    frame["shadow_margin"] = 1e-3 * asset.spacing_mm
+    frame["shadow_margin"] = SHADOW_MARGIN * asset.spacing_mm
     frame["last_sample"] = columns - 1, rows - 1
     frame["lamp_count"], frame["shadows"] = lamp_count, shadows
     return frame
@@ -170,21 +172,16 @@ def box_tops(asset: Asset) -> Array:
     return tops
 
 
-def ceilings(heights_mm: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return, per tile of 8 x 8 texels, the highest sample within a tile's side of it.
+def pack_bounds(asset: Asset) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Return the highest and lowest heights of cells, (cells, 2) mm, and the levels, (count, 2).
 
-    A ray above it may go that far from any place of the tile without meeting the surface.
+    A level's row is its first cell and its cells per row; row 0 is unused. Infinities become
+    numbers beyond all heights, for shaders need not know infinity.
     """
-    rows, columns = (-(-side // CEILING_TILE) for side in heights_mm.shape)
-    padded = np.full((rows * CEILING_TILE, columns * CEILING_TILE), -np.inf, np.float32)
-    padded[: heights_mm.shape[0], : heights_mm.shape[1]] = heights_mm
-    tiles = padded.reshape(rows, CEILING_TILE, columns, CEILING_TILE).max(axis=(1, 3))
-    # The walk ends at most one tile away, whose last patches take samples of the tile after it.
-    for axis in (0, 1):
-        size = tiles.shape[axis]
-        ring = np.pad(tiles, [(1, 2) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
-        tiles = np.max([ring.take(range(k, k + size), axis) for k in range(4)], axis=0)
-    return np.asarray(tiles)
+    from pipeline.geometry.maximum_mipmap import build_maximum_mipmap
+
+    mipmap = build_maximum_mipmap(np.where(valid_samples(asset), asset.heights_mm, np.nan))
+    return np.clip(mipmap.bounds, -_FAR, _FAR), mipmap.levels.astype(np.uint32)
 
 
 def valid_samples(asset: Asset) -> NDArray[np.bool_]:

@@ -93,8 +93,8 @@ class Painting:
                 upload_texture(device, name, _four_halves(image), "rgba16float")
                 for name, image in reflectance.items()
             ),
-            upload_texture(device, "ceilings", packing.ceilings(heights)[..., None], "r32float"),
         ]
+        self._bounds = [upload_buffer(device, array) for array in packing.pack_bounds(asset)]
 
     def draw(
         self,
@@ -166,6 +166,7 @@ class Painting:
             upload_buffer(device, boxes),
             *self._textures,
             opaque_boxes,
+            *self._bounds,
         ]
         group = device.create_bind_group(
             layout=pipelines.layout,

@@ -37,8 +37,9 @@ struct Box {
 @group(0) @binding(5) var diffuse: texture_2d<f32>;
 @group(0) @binding(6) var specular: texture_2d<f32>;
 @group(0) @binding(7) var lobe: texture_2d<f32>;
-@group(0) @binding(8) var ceilings: texture_2d<f32>;
-@group(0) @binding(9) var opaque_boxes: texture_2d<f32>;  // 1 where a patch lies in one
+@group(0) @binding(8) var opaque_boxes: texture_2d<f32>;  // 1 where a patch lies in one
+@group(0) @binding(9) var<storage, read> bounds: array<vec2f>;  // highest, lowest of a cell, mm
+@group(0) @binding(10) var<storage, read> levels: array<vec2u>; // first cell, cells per row
 @group(1) @binding(0) var visible: texture_2d<f32>;
 
 const NOTHING: f32 = -1.0e6;  // places on the grid left of it: the pixel sees no canvas
@@ -131,7 +132,9 @@ fn hit_in_box(origin: vec3f, direction: vec3f, low: vec3f, high: vec3f) -> f32 {
         }
         // Else it came in at the canvas's open edge, and may meet the surface from below.
     }
-    return first_hit(origin, direction, enter, span.y, side);
+    // Next boxes overlap by the rounding, so that nothing is seen between them.
+    let slack = SLACK_TEXELS * texel_of(direction);
+    return first_hit(origin, direction, max(enter - slack, 0.0), span.y + slack);
 }
 
 // What a pixel sees of a box: the place on the grid and t; t = MISS where it sees none.

@@ -65,9 +65,9 @@ def painting_pipelines(adapter: Adapter, blends: bool) -> Pipelines:
     device = adapter.device
     module = device.create_shader_module(label="painting", code=shader_source())
     stages = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
-    buffers = ("uniform", "read-only-storage", "read-only-storage")
     texture = {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d"}}
-    resources = [*({"buffer": {"type": kind}} for kind in buffers), *[texture] * 7]
+    storage = {"buffer": {"type": "read-only-storage"}}
+    resources = [{"buffer": {"type": "uniform"}}, *[storage] * 2, *[texture] * 6, *[storage] * 2]
     layout = device.create_bind_group_layout(
         entries=[{"binding": i, "visibility": stages, **r} for i, r in enumerate(resources)]
     )

@@ -14,13 +14,11 @@ from pipeline.formats.asset import Asset
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.height_grid import sample_bilinear
 from pipeline.geometry.raycast import RayCaster
+from renderers.packing import SHADOW_MARGIN
 from renderers.shading import reflectance, unit_normals
 from renderers.view import Light, View
 
 Array = NDArray[np.float64]
-
-SHADOW_MARGIN = 0.05
-"""Start of a shadow ray that is not tested, in sample spacings: the surface's own rounding."""
 
 _ROWS_AT_ONCE = 128
 

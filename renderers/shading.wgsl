@@ -50,14 +50,13 @@ fn reflectance(texel: Texel, v: vec3f, l: vec3f) -> vec3f {
 
 // Whether the relief stands between a point of the surface (grid space) and a lamp.
 fn in_shadow(point: vec3f, lamp: vec3f) -> bool {
-    let target_point = vec3f(lamp.x, -lamp.y, lamp.z) * frame.to_grid;
-    let start = point + vec3f(0.0, 0.0, frame.shadow_margin);
-    let direction = target_point - start;
+    let direction = vec3f(lamp.x, -lamp.y, lamp.z) * frame.to_grid - point;
+    let margin = frame.shadow_margin / length(direction / frame.to_grid);
     let low = vec3f(0.0, 0.0, frame.bottom);
-    let span = clip_to_box(start, direction, low, vec3f(frame.last_sample, frame.top));
+    let span = clip_to_box(point, direction, low, vec3f(frame.last_sample, frame.top));
     let t_end = min(span.y, 1.0);
-    if (t_end <= 0.0) { return false; }
-    return first_hit(start, direction, 0.0, t_end, ABOVE) != MISS;
+    if (t_end <= margin) { return false; }
+    return first_hit(point, direction, margin, t_end) != MISS;
 }
 
 // Radiance of the surface at a place of the grid, seen from the camera.

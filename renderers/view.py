@@ -171,7 +171,7 @@ def canvas_corners(canvas: Asset | tuple[float, float]) -> Array:
     if isinstance(canvas, Asset):
         rows, columns = canvas.heights_mm.shape
         width, height = (columns - 1) * canvas.spacing_mm, (rows - 1) * canvas.spacing_mm
-        inside = canvas.heights_mm[canvas.mask]
+        inside = canvas.heights_mm[canvas.mask & np.isfinite(canvas.heights_mm)]
         bottom, top = (float(inside.min()), float(inside.max())) if inside.size else (0.0, 0.0)
     else:
         (width, height), bottom, top = canvas, 0.0, 0.0

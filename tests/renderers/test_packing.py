@@ -5,42 +5,43 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from scipy import ndimage
 
 import renderers
 from renderers import packing
-from renderers.packing import CEILING_TILE
 from renderers.view import Light, arc_light, orbit_view
 
 WGSL = Path(renderers.__file__).parent
 
 
-@given(
-    arrays(
-        np.float32,
-        st.tuples(st.integers(1, 40), st.integers(1, 40)),
-        elements=st.floats(-100, 100, width=32),
-    )
-)
-def test_ceiling_covers_every_sample_that_a_walk_of_one_tile_can_need(heights):
-    ceilings = packing.ceilings(heights)
-    assert ceilings.shape == tuple(-(-side // CEILING_TILE) for side in heights.shape)
-    assert ceilings.max() <= heights.max()
-    # From any texel of a tile one tile each way, and the patch's far corner.
-    reach = 2 * CEILING_TILE + 2
-    needed = ndimage.maximum_filter(heights, reach, origin=-1, mode="nearest")
-    rows, columns = np.indices(heights.shape) // CEILING_TILE
-    assert (ceilings[rows, columns] >= needed).all()
+@pytest.mark.parametrize("shape", [(2, 2), (9, 20), (33, 17)])
+def test_bounds_hold_what_their_cells_hold(make_asset, shape):
+    rng = np.random.default_rng(1)
+    mask = rng.random(shape) < 0.9
+    asset = make_asset(rng.normal(size=shape), mask=mask)
+    bounds, levels = packing.pack_bounds(asset)
+    assert bounds.dtype == np.float32
+    assert levels.dtype == np.uint32
+    assert np.isfinite(bounds).all()
+    known = np.where(mask, asset.heights_mm, np.nan)
+    corners = np.stack([known[:-1, :-1], known[1:, :-1], known[:-1, 1:], known[1:, 1:]])
+    whole = np.isfinite(corners).all(axis=0)
+    for level in range(1, len(levels)):
+        first, columns = (int(n) for n in levels[level])
+        for row, column in np.argwhere(whole):
+            cell = bounds[first + (row >> level) * columns + (column >> level)]
+            assert cell[1] <= corners[:, row, column].min()
+            assert corners[:, row, column].max() <= cell[0]
+    assert levels[-1].tolist() == [len(bounds) - 1, 1]  # the last is one cell: everything
+    if whole.any():
+        assert bounds[-1, 0] == corners[:, whole].max()
+        assert bounds[-1, 1] == corners[:, whole].min()
 
 
-def test_ceiling_looks_no_farther_than_it_must():
-    heights = np.zeros((64, 64), np.float32)
-    heights[32, 32] = 1.0  # first sample of tile 4
-    rows, columns = np.nonzero(packing.ceilings(heights))
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (2, 5, 2, 5)
+def test_cells_without_surface_are_never_entered(make_asset):
+    asset = make_asset(np.zeros((9, 9)), mask=np.zeros((9, 9), bool))
+    bounds, _ = packing.pack_bounds(asset)
+    assert (bounds[:, 0] < -1e20).all()
+    assert (bounds[:, 1] > 1e20).all()
 
 
 @pytest.mark.parametrize(("record", "name"), [("FRAME", "Frame"), ("LAMP", "Lamp"), ("BOX", "Box")])
@@ -55,11 +56,6 @@ def test_records_have_the_fields_of_the_wgsl_in_order(record, name):
         kind, offset = dtype.fields[field][0], dtype.fields[field][1]
         if kind.shape:  # vec3f and mat4x4f stand at multiples of 16, vec2f of 8
             assert offset % (8 if kind.shape == (2,) else 16) == 0
-
-
-def test_tile_size_is_the_shaders():
-    source = (WGSL / "intersect.wgsl").read_text()
-    assert float(re.search(r"CEILING_TILE: f32 = ([\d.]+)", source)[1]) == CEILING_TILE
 
 
 def test_projection_puts_points_where_the_camera_does(make_asset):
