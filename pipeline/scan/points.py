@@ -26,6 +26,9 @@ Image = NDArray[np.float32]
 _NEIGHBOURHOOD = 9
 """Width, px, over which the residual across the epipolar line is averaged."""
 
+_ENOUGH_PIXELS = 300_000
+"""From which the point spread is found."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -92,7 +95,7 @@ def _without_edges(
     }
     variance = None
     if len(shifts) == 2:
-        raw = triangulate(coordinates, camera, projector)
+        raw = triangulate(_thinned(coordinates), camera, projector)
         expected = (
             raw.across[..., 0] * shifts["x"].expected + raw.across[..., 1] * shifts["y"].expected
         )
@@ -106,6 +109,19 @@ def _without_edges(
         remainder = np.float32(REMAINDER * variance) * shift.largest
         corrected[f"sigma_{name}"] = np.hypot(sigma, remainder)
     return replace(coordinates, **corrected), variance
+
+
+def _thinned(coordinates: ProjectorCoordinates) -> ProjectorCoordinates:
+    """Leave rows out of a large picture: one number is to be found, from as many as tell it."""
+    step = max(1, round(coordinates.radiance.size / _ENOUGH_PIXELS))
+    if step == 1:
+        return coordinates
+    kept = {}
+    for name in ("x", "y"):
+        image = np.full_like(getattr(coordinates, name), np.nan)
+        image[::step] = getattr(coordinates, name)[::step]
+        kept[name] = image
+    return replace(coordinates, **kept)
 
 
 def _checked(

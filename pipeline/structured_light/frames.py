@@ -19,7 +19,9 @@ from pipeline.structured_light.noise import SATURATED, NoiseModel
 Image = NDArray[np.float32]
 Stored = NDArray[np.number]
 
-_AHEAD = 4
+_AHEAD = 12
+"""Frames that may wait to be used: enough to read on while one period is solved."""
+
 _THREADS = 2
 
 

@@ -15,6 +15,10 @@ GAIN_PRIOR = 0.03
 FEWEST_FRAMES = 8
 """Frames from which on each one's place in the fringe is estimated, beside its brightness."""
 
+MOST_PIXELS, WIDEST_STRIDE = 120_000, 3
+"""What drifts is the same for all pixels: more of them tell nothing new. Sparser ones would no
+longer tell fine fringes."""
+
 _FEWEST_PIXELS = 1000
 _CLEAR = 20.0
 _FLAT = 1e-5
@@ -64,10 +68,11 @@ def frame_basis(
     -------
     (frames, 3), near (1, cos, -sin) of the shifts.
     """
-    basis = _from_residuals(stack[:, ::2, ::2], nominal_basis(shifts), full_scale)
+    stride = int(np.clip(np.sqrt(stack[0].size / MOST_PIXELS), 2, WIDEST_STRIDE))
+    sample = np.ascontiguousarray(stack[:, ::stride, ::stride])
+    basis = _from_residuals(sample, nominal_basis(shifts), full_scale)
     flat = NoiseModel(0.0, _FLAT, given=False)
-    plain = None if light is None else light[::2, ::2]
-    sample = np.ascontiguousarray(stack[:, ::2, ::2])
+    plain = None if light is None else light[::stride, ::stride]
     for _ in range(_ROUNDS):
         fringes = solve_fringes(sample, basis, np.ones(len(shifts)), full_scale, flat)
         circle = fit_circle(fringes, plain, (1, 2, len(shifts)))
