@@ -395,7 +395,8 @@ def main() -> int:
     """Print the tables; return 1 if the target is missed."""
     heights = brushwork(SIZE, SPACING_MM)
     RayCaster(heights[:8, :8], 1.0).first_hit(np.zeros((1, 3)), np.ones((1, 3)))  # compile
-    ours = built(lambda: RayCaster(heights, SPACING_MM))
+    attempts = [built(lambda: RayCaster(heights, SPACING_MM)) for _ in range(PAIRS)]
+    ours = sorted(attempts, key=lambda attempt: attempt.seconds)[PAIRS // 2]
     vertices, triangles = mesh(heights)
     theirs = built(lambda: Wrapped(vertices, triangles))
     packets = Packets(vertices, triangles)
