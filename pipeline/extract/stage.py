@@ -56,6 +56,12 @@ class Config(BaseModel):
     fill_mm: float = Field(
         default=3.0, ge=0, le=1000, description="Holes narrower than this are filled and marked."
     )
+    form_mm: float = Field(
+        default=1.0,
+        ge=0.05,
+        le=1000,
+        description="A bulge or twist of the canvas that spans more is taken out of the heights.",
+    )
     straighten: bool = Field(
         default=True, description="Turn a rectangular canvas so that its edges are rows, columns."
     )
@@ -97,10 +103,26 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     holes, left = small_holes(np.isfinite(heights), config.fill_mm / spacing)
     heights, deviation = fill_holes(heights, (deviation * factor).astype(np.float32), holes)
     field = trim(replace(field, heights_mm=heights, sigma_mm=deviation, filled=holes))
+    field = without_form(field, config.form_mm, log)
     _report(field, found.skew_deg, config.straighten, left, log)
     log.metric("steepest_slope", found.region.slope)
     log.metric("scan_pixels", len(found.points))
     return Outputs(field)
+
+
+def without_form(field: HeightField, least_mm: float, log: Log) -> HeightField:
+    """Take the canvas's bulge and twist out of the heights, if it has any to speak of."""
+    from pipeline.extract.form import find_form
+
+    found = find_form(field.heights_mm, field.spacing_mm, least_mm)
+    if isinstance(found, str):
+        log.skipped("the removal of the canvas's form", found)
+        return field
+    log.metric("form_mm", found.form.range_mm)
+    log.metric("form_degree", found.form.degree)
+    log.metric("form_sigma_mm", found.sigma_mm)
+    heights = field.heights_mm - found.heights_mm
+    return replace(field, heights_mm=heights, form_mm=found.heights_mm, form=found.form)
 
 
 def trim(field: HeightField) -> HeightField:
@@ -146,4 +168,4 @@ def _report(
         log.warning(f"{left} holes are wider than extract.fill_mm and stay open")
 
 
-STAGE = Stage("extract", version=1, inputs=Inputs, outputs=Outputs, config=Config, run=run)
+STAGE = Stage("extract", version=2, inputs=Inputs, outputs=Outputs, config=Config, run=run)

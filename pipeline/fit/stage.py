@@ -43,7 +43,7 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:  # noqa: ARG001 - 
 
     field, samples = inputs.height_field, inputs.samples
     points = field.canvas_points()
-    surface_normals = normals(field.heights_mm, field.spacing_mm)
+    surface_normals = normals(field.surface_mm, field.spacing_mm)
     rows, columns = field.heights_mm.shape
     parameters = np.empty((rows, columns, 9), np.float32)
     residual = np.empty((rows, columns), np.float32)

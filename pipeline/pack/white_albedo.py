@@ -73,7 +73,7 @@ def smooth_normals(field: HeightField) -> NDArray[np.float32]:
     known = np.isfinite(field.heights_mm)
     sigma = float(np.median(field.sigma_mm[known])) / field.spacing_mm
     width = max(1.0, float(np.sqrt(sigma / (np.sqrt(8 * np.pi) * _LARGEST_NOISE))))
-    heights = np.where(known, field.heights_mm, 0).astype(np.float64)
+    heights = np.where(known, field.surface_mm, 0).astype(np.float64)
     weight = ndimage.gaussian_filter(known.astype(np.float64), width)
     smooth = ndimage.gaussian_filter(heights, width) / np.maximum(weight, 1e-12)
     return normals(np.where(known, smooth, np.nan), field.spacing_mm)

@@ -85,9 +85,9 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
             f"{LARGEST_BYTES / 2**30:.0f} GiB; set a larger extract.spacing_mm"
         )
     points = field.canvas_points()
-    surface_normals = normals(field.heights_mm, field.spacing_mm)
-    slope = steepest_slope(field.heights_mm, field.spacing_mm)
-    caster = RayCaster(field.heights_mm, field.spacing_mm) if config.visibility else None
+    surface_normals = normals(field.surface_mm, field.spacing_mm)
+    slope = steepest_slope(field.surface_mm, field.spacing_mm)
+    caster = RayCaster(field.surface_mm, field.spacing_mm) if config.visibility else None
     brdf = np.empty((len(placed), rows, columns, 3), np.float32)
     occluded = unneeded = 0
     for index, station in enumerate(placed):

@@ -145,7 +145,7 @@ def errors_against_truth(
     true_points = np.stack([*np.meshgrid(surface.x_mm, surface.y_mm), surface.heights_mm], axis=-1)
     there = (found @ height_field.scan_from_canvas).inverse().apply(true_points)
     place = -there[..., 1] / height_field.spacing_mm, there[..., 0] / height_field.spacing_mm
-    error = sample(height_field.heights_mm.astype(np.float64), *place) - there[..., 2]
+    error = sample(height_field.surface_mm.astype(np.float64), *place) - there[..., 2]
     sigma = sample(height_field.sigma_mm.astype(np.float64), *place)
     known, wanted = np.isfinite(error), np.isfinite(surface.heights_mm)
     if not known.any():

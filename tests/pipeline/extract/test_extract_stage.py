@@ -82,6 +82,33 @@ def test_spacing_may_be_given(make_scene) -> None:
         run(inputs_of(scene), Config(spacing_mm=1e-3), Recorder())
 
 
+def test_a_bulged_canvas_is_flattened_and_still_lies_where_it_is(make_scene) -> None:
+    def bulged(x, y):
+        return 5 - 5 * (x / 100) ** 2 - 3 * (y / 80) ** 2 + 0.2 * np.sin(x / 4) * np.sin(y / 4)
+
+    scene = make_scene(bulged, noise=0.02, frame=None, tilt_deg=(5, 4))
+    log = Recorder()
+    field = run(inputs_of(scene), Config(), log).height_field
+    known = np.isfinite(field.heights_mm)
+    points = scene.scan_from_truth.inverse().apply(
+        field.scan_from_canvas.apply(field.canvas_points()[known])
+    )
+    error = points[:, 2] - bulged(points[:, 0], points[:, 1])
+    assert np.median(np.abs(error)) < 0.01
+    ground = field.heights_mm[known] - 0.2 * np.sin(points[:, 0] / 4) * np.sin(points[:, 1] / 4)
+    assert np.percentile(np.abs(ground), 95) < 0.05
+    assert log.metrics["form_mm"] == pytest.approx(8, abs=0.4)
+    assert field.form.degree in (2, 3, 4)  # seen askew, a bulge is not quite a parabola
+
+
+def test_a_flat_canvas_has_no_form(make_scene, reliefs) -> None:
+    for name in ("flat", "deep"):
+        log = Recorder()
+        field = run(inputs_of(make_scene(reliefs[name])), Config(), log).height_field
+        assert field.form_mm is None
+        assert "the removal of the canvas's form" in dict(log.skips)
+
+
 def test_the_same_bytes_again(make_scene, reliefs) -> None:
     scene = make_scene(reliefs["impasto"], holes=50)
     first, second = (run(inputs_of(scene), Config(), Recorder()).height_field for _ in range(2))

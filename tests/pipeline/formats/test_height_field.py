@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.errors import ImpastoError
-from pipeline.formats.height_field import HEIGHT, HeightField
+from pipeline.formats.form import Form
+from pipeline.formats.height_field import HEIGHT, HeightField, Placement
 from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
 
 
@@ -74,4 +76,52 @@ def test_a_wrong_document_is_refused(workspace: Path, key, value, message) -> No
     document = json.loads(path.read_text()) | {key: value}
     path.write_text(json.dumps(document))
     with pytest.raises(ImpastoError, match=message):
+        HEIGHT.load(workspace)
+
+
+def test_form_and_placements_come_back(field: HeightField, workspace: Path) -> None:
+    known = np.isfinite(field.heights_mm)
+    form = Form(2, (0.5, 0.0, 0.1, 2.0, -1.0, 0.3), (3.0, -2.0), 4.0, 3.2)
+    heights = form.heights(12, 20, field.spacing_mm, known)
+    whole = replace(
+        field,
+        form=form,
+        form_mm=heights,
+        placements=(Placement("front", field.scan_from_canvas), Placement("b", RigidTransform())),
+    )
+    HEIGHT.save(workspace, whole)
+    read = HEIGHT.load(workspace)
+    assert read.form == form
+    assert read.form_mm is not None
+    assert read.form_mm.tobytes() == heights.tobytes()
+    assert [p.name for p in read.placements] == ["front", "b"]
+    matrix = read.placements[0].scan_from_canvas.matrix
+    assert np.array_equal(matrix, field.scan_from_canvas.matrix)
+    x, y, z = whole.canvas_points()[5, 7]
+    u, v = (x - 3) / 4, (y + 2) / 4
+    bulge = 0.5 + 0.1 * v + 2 * u * u - u * v + 0.3 * v * v
+    assert z == pytest.approx(field.heights_mm[5, 7] + bulge, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("form", {"degree": 9}),
+        (
+            "form",
+            {
+                "degree": 1,
+                "coefficients_mm": [1],
+                "centre_mm": [0, 0],
+                "scale_mm": 1,
+                "range_mm": 1,
+            },
+        ),
+        ("placements", [{"name": "a", "canvas_to_scan": (2 * np.eye(4)).tolist()}]),
+    ],
+)
+def test_a_wrong_form_or_placement_is_refused(workspace: Path, key, value) -> None:
+    path = workspace / "extract/frame.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    with pytest.raises(ImpastoError, match=key):
         HEIGHT.load(workspace)
