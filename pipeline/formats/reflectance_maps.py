@@ -13,6 +13,35 @@ from numpy.typing import NDArray
 from pipeline.errors import ImpastoError
 from pipeline.formats.artifact import Artifact
 from pipeline.formats.exr import read_exr, read_float_channels, write_exr
+from pipeline.geometry.camera import Camera, Lens
+from pipeline.geometry.rigid import RigidTransform
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """A camera that was placed by a sequence of the projector's light on the canvas.
+
+    Parameters
+    ----------
+    sequence, name, light
+        The sequence and its camera; the lamp in whose place it stood, or None.
+    camera
+        Canvas coordinates, the table as it was in the scan.
+    rms_px, points, share
+        RMS over the points that agree, how many those are, and their share of all.
+    sigma_mm, sigma_deg
+        Largest standard deviation of its centre and of its orientation.
+    """
+
+    sequence: str
+    name: str
+    light: str | None
+    camera: Camera
+    rms_px: float
+    points: int
+    share: float
+    sigma_mm: float
+    sigma_deg: float
 
 
 @dataclass(frozen=True)
@@ -31,6 +60,8 @@ class ReflectanceSamples:
     absolute
         True if responsivity and lamp intensities were given, so that ``brdf`` is in 1/sr;
         otherwise it is known up to one factor.
+    cameras
+        The stations and lamp stops that had to be found.
     """
 
     brdf: NDArray[np.float32]
@@ -38,6 +69,7 @@ class ReflectanceSamples:
     light_mm: NDArray[np.float64]
     names: tuple[str, ...]
     absolute: bool
+    cameras: tuple[FoundCamera, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,8 +119,41 @@ def _save_samples(workspace: Path, samples: ReflectanceSamples) -> None:
         {"file": name, "view_mm": view.tolist(), "light_mm": light.tolist()}
         for name, view, light in zip(samples.names, samples.view_mm, samples.light_mm, strict=True)
     ]
-    document = {"absolute": samples.absolute, "photos": photos}
+    document: dict[str, Any] = {"absolute": samples.absolute, "photos": photos}
+    document["cameras"] = [_camera_entry(found) for found in samples.cameras]
     description.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _camera_entry(found: FoundCamera) -> dict[str, Any]:
+    lens, pose = found.camera.lens, found.camera.pose
+    return {
+        "sequence": found.sequence,
+        "camera": found.name,
+        "light": found.light,
+        "size_px": list(lens.size_px),
+        "K": lens.K.tolist(),
+        "distortion": lens.distortion.tolist(),
+        "R": pose.rotation.tolist(),
+        "t_mm": pose.translation_mm.tolist(),
+        "rms_px": found.rms_px,
+        "points": found.points,
+        "share": found.share,
+        "sigma_mm": found.sigma_mm,
+        "sigma_deg": found.sigma_deg,
+    }
+
+
+def _found_camera(entry: dict[str, Any]) -> FoundCamera:
+    width, height = entry["size_px"]
+    lens = Lens((width, height), np.array(entry["K"]), np.array(entry["distortion"]))
+    pose = RigidTransform(np.array(entry["R"]), np.array(entry["t_mm"]))
+    return FoundCamera(
+        entry["sequence"],
+        entry["camera"],
+        entry["light"],
+        Camera(lens, pose),
+        *(entry[key] for key in ("rms_px", "points", "share", "sigma_mm", "sigma_deg")),
+    )
 
 
 def _load_samples(workspace: Path) -> ReflectanceSamples:
@@ -101,7 +166,12 @@ def _load_samples(workspace: Path) -> ReflectanceSamples:
         view = np.array([photo["view_mm"] for photo in photos], dtype=np.float64)
         light = np.array([photo["light_mm"] for photo in photos], dtype=np.float64)
         samples = ReflectanceSamples(
-            brdf, view, light, tuple(photo["file"] for photo in photos), bool(document["absolute"])
+            brdf,
+            view,
+            light,
+            tuple(photo["file"] for photo in photos),
+            bool(document["absolute"]),
+            tuple(_found_camera(entry) for entry in document.get("cameras", ())),
         )
     except (ValueError, KeyError, TypeError, EOFError) as error:
         raise ImpastoError(

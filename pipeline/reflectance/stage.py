@@ -18,9 +18,9 @@ LARGEST_BYTES = 16 * 2**30
 
 @dataclass(frozen=True)
 class Inputs:
-    """The photographs, the rig and the canvas."""
+    """The photographs, the rig and the canvas, and what finds cameras and lamps."""
 
-    bundle: Bundle = reads_bundle("photos")
+    bundle: Bundle = reads_bundle("photos", "pose", "light")
     calibration: Calibration = reads(CALIBRATION)
     height_field: HeightField = reads(HEIGHT)
 
@@ -46,12 +46,23 @@ class Config(BaseModel):
         le=10,
         description="Length of a ray's start that is not tested, against noise of the height.",
     )
+    worst_pose_px: float = Field(
+        default=1.0,
+        gt=0,
+        le=100,
+        description="A camera or lamp sequence that fits the canvas worse (RMS) is left out.",
+    )
+    refine_lenses: bool = Field(
+        default=True,
+        description="Refine calibrated lenses by what the camera and lamp sequences show.",
+    )
 
 
 def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     """Sample every photograph that can be placed; source: spec of the painting, 1.4."""
     from pipeline.geometry.height_grid import normals
     from pipeline.geometry.raycast import RayCaster
+    from pipeline.reflectance.places import find_places, report
     from pipeline.reflectance.radiance import radiance
     from pipeline.reflectance.sampling import (
         drop_occluded,
@@ -66,17 +77,27 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
         raise NoWork("the capture has no photographs")
     field = inputs.height_field
     scan = inputs.bundle.sequences("scan")
-    placed, left_out = stations(
-        capture.photos,
+    scan_deg = scan[0].turntable_deg if scan else None
+    calibration, places = find_places(
+        inputs.bundle,
         inputs.calibration,
-        field.scan_from_canvas,
-        scan[0].turntable_deg if scan else None,
+        field,
+        scan_deg,
+        worst_rms_px=config.worst_pose_px,
+        refine_lenses=config.refine_lenses,
+        log=log,
+    )
+    placed, left_out = stations(
+        capture.photos, calibration, field.scan_from_canvas, scan_deg, places
     )
     if not placed:
         file, reason = next(iter(left_out.items()))
         raise NoWork(f"none of {len(left_out)} photographs can be placed; {file}: {reason}")
     for file, reason in left_out.items():
         log.warning(f"{file} is left out: {reason}")
+    log.metric("photographs", len(placed))
+    log.metric("photographs_left_out", len(left_out))
+    report(places.cameras, log)
 
     rows, columns = field.heights_mm.shape
     if len(placed) * rows * columns * 12 > LARGEST_BYTES:
@@ -107,8 +128,6 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
             "they stand higher over the canvas than its steepest slope",
         )
     seen = np.isfinite(brdf[..., 0]).sum(axis=0)
-    log.metric("photographs", len(placed))
-    log.metric("photographs_left_out", len(left_out))
     log.metric("samples_dropped_as_occluded", occluded)
     log.metric("samples_per_texel", float(seen[np.isfinite(field.heights_mm)].mean()))
     absolute = all(
@@ -123,8 +142,9 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
         light_mm=np.array([station.light_mm for station in placed]),
         names=tuple(station.photo.file for station in placed),
         absolute=absolute,
+        cameras=places.cameras,
     )
     return Outputs(samples)
 
 
-STAGE = Stage("reflectance", version=1, inputs=Inputs, outputs=Outputs, config=Config, run=run)
+STAGE = Stage("reflectance", version=2, inputs=Inputs, outputs=Outputs, config=Config, run=run)

@@ -15,6 +15,7 @@ from pipeline.formats.calibration import Calibration
 from pipeline.formats.capture import Photo
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
+from pipeline.reflectance.places import Places
 
 
 @dataclass(frozen=True)
@@ -33,26 +34,29 @@ def stations(
     calibration: Calibration,
     scan_from_canvas: RigidTransform,
     scan_turntable_deg: float | None,
+    places: Places | None = None,
 ) -> tuple[list[Station], dict[str, str]]:
-    """Place every photograph that can be placed.
+    """Place every photograph that can be placed; a pose that the bundle gives goes first.
 
     Returns
     -------
     The stations, and for each photograph left out its file with the reason, in words.
     """
+    places = places or Places()
     placed: list[Station] = []
     left_out: dict[str, str] = {}
     for photo in photos:
-        reason = _unknown(photo, calibration, scan_turntable_deg)
+        reason = _unknown(photo, calibration, scan_turntable_deg, places)
         if reason:
             left_out[photo.file] = reason
             continue
         turned = _turn(photo, calibration, scan_turntable_deg) @ scan_from_canvas
+        pose = calibration.poses.get(photo.camera) or places.poses[photo.file]
         light = calibration.lights[photo.light or ""]
         placed.append(
             Station(
                 photo,
-                Camera(calibration.lenses[photo.camera], calibration.poses[photo.camera] @ turned),
+                Camera(calibration.lenses[photo.camera], pose @ turned),
                 turned.inverse().apply(light.position_mm),
                 light.intensity,
                 light.intensity_known,
@@ -62,16 +66,23 @@ def stations(
 
 
 def _unknown(
-    photo: Photo, calibration: Calibration, scan_turntable_deg: float | None
+    photo: Photo, calibration: Calibration, scan_turntable_deg: float | None, places: Places
 ) -> str | None:
     if photo.camera not in calibration.lenses:
         return f"the lens of camera {photo.camera} is not calibrated"
-    if photo.camera not in calibration.poses:
-        return f"the pose of camera {photo.camera} is not known (R and t_mm in capture.json)"
+    if photo.camera not in calibration.poses and photo.file not in places.poses:
+        return places.reasons.get(
+            photo.file,
+            f"the pose of camera {photo.camera} is not known (a pose sequence that the photograph "
+            "names, or R and t_mm in capture.json)",
+        )
     if photo.light is None:
         return "it names no lamp"
     if photo.light not in calibration.lights:
-        return f"the position of lamp {photo.light} is not known (position_mm in capture.json)"
+        reason = places.lamp_reasons.get(
+            photo.light, "a light sequence, or position_mm in capture.json"
+        )
+        return f"the position of lamp {photo.light} is not known ({reason})"
     if _angle(photo, scan_turntable_deg) != 0 and calibration.turntable is None:
         return "the table was turned and its axis is not known (turntable in capture.json)"
     return None
