@@ -46,7 +46,9 @@ class Scene:
         bend = np.array([-0.08, 0.05, 0.0004, -0.0003, 0.0])
         self.camera = Camera(Lens(size_px, _matrix(size_px, 2.4), bend))
         turn = rotation_about_axis(
-            np.zeros(3), np.array([0.02, 1.0, 0.0]), np.degrees(np.arctan2(baseline_mm, DISTANCE_MM))
+            np.zeros(3),
+            np.array([0.02, 1.0, 0.0]),
+            np.degrees(np.arctan2(baseline_mm, DISTANCE_MM)),
         )
         place = turn.apply(np.array([-baseline_mm, 4.0, 12.0]))
         pose = RigidTransform(turn.rotation, place)

@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("pipeline.commands.status:status", "Say how every stage of a workspace stands."),
     "report": ("pipeline.commands.report:report", "Write a workspace's page with all figures."),
     "render": ("pipeline.commands.render:render", "Draw an asset."),
+    "bench": ("pipeline.commands.bench:bench", "Measure run time against error."),
     "doctor": ("pipeline.commands.doctor:doctor", "Say what this machine has."),
 }
 """Where each subcommand is implemented (``module:attribute``), and its line of help."""

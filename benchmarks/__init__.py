@@ -1,0 +1,1 @@
+"""Run time against error: modules for `impasto bench`, and scripts of their own."""
