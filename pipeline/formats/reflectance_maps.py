@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, StrictBool
 
 from pipeline.errors import ImpastoError
 from pipeline.formats.artifact import Artifact
 from pipeline.formats.exr import read_exr, read_float_channels, write_exr
+from pipeline.formats.strict_json import parse_model, read_text
 from pipeline.geometry.camera import Camera, Lens
 from pipeline.geometry.rigid import RigidTransform
 
@@ -102,6 +104,14 @@ class ReflectanceMaps:
     absolute: bool
 
 
+class _Fit(BaseModel):
+    """The document ``fit/fit.json``."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    absolute: StrictBool
+
+
 _SAMPLE_FILES = ("reflectance/samples.npy", "reflectance/photos.json")
 _MAP_FILES = (
     "fit/diffuse.exr",
@@ -179,8 +189,9 @@ def _load_samples(workspace: Path) -> ReflectanceSamples:
             where=_SAMPLE_FILES[0],
             fix="run the stage again: impasto run ... --from reflectance --force",
         ) from error
-    expected = (len(photos), 3)
-    if brdf.dtype != np.float32 or brdf.ndim != 4 or view.shape != expected != light.shape:
+    count = len(photos)
+    fits = brdf.dtype == np.float32 and brdf.ndim == 4 and brdf.shape[::3] == (count, 3)
+    if not (fits and view.shape == light.shape == (count, 3)):
         raise ImpastoError(
             f"{brdf.dtype} samples of shape {brdf.shape} for {len(photos)} photographs",
             where=_SAMPLE_FILES[0],
@@ -210,16 +221,27 @@ def _save_maps(workspace: Path, maps: ReflectanceMaps) -> None:
 def _load_maps(workspace: Path) -> ReflectanceMaps:
     diffuse, specular, lobe, quality, description = (workspace / file for file in _MAP_FILES)
     measured = read_exr(quality, ("RESIDUAL", "COUNT", "OBSERVED"))
-    residual: NDArray[np.float32] = measured["RESIDUAL"].astype(np.float32, copy=False)
-    return ReflectanceMaps(
+    maps = ReflectanceMaps(
         diffuse=read_float_channels(diffuse, ("R", "G", "B")),
         specular=read_float_channels(specular, ("R", "G", "B")),
         lobe=read_float_channels(lobe, ("CXY", "CZ", "K")),
-        residual=residual,
+        residual=measured["RESIDUAL"].astype(np.float32, copy=False),
         count=measured["COUNT"].astype(np.int32),
         lobe_observed=measured["OBSERVED"] != 0,
-        absolute=bool(json.loads(description.read_text(encoding="utf-8"))["absolute"]),
+        absolute=parse_model(
+            _Fit, read_text(description, where=_MAP_FILES[4]), where=_MAP_FILES[4]
+        ).absolute,
     )
+    size = maps.count.shape
+    for file, image in zip(_MAP_FILES, (maps.diffuse, maps.specular, maps.lobe), strict=False):
+        if image.shape[:2] != size:
+            raise ImpastoError(
+                f"the image is {image.shape[1]} x {image.shape[0]}",
+                where=file,
+                expected=f"{size[1]} x {size[0]}, as {_MAP_FILES[3]}",
+                fix="run the stage again: impasto run ... --from fit --force",
+            )
+    return maps
 
 
 MAPS = Artifact(_MAP_FILES, _load_maps, _save_maps)
