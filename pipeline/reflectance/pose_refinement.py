@@ -80,8 +80,7 @@ def refine(
     for _ in range(_STEPS):
         hessian, slope, _ = problem.normal_equations(state, scale)
         for _ in range(_TRIES):
-            damped = hessian + damping * np.diag(np.diag(hessian))
-            step = np.asarray(-np.linalg.lstsq(damped, slope, rcond=1e-15)[0], np.float64)
+            step = -_solve(hessian, slope, damping)
             tried = problem.moved(state, step)
             tried_cost = problem.cost(tried, scale)
             if tried_cost <= cost:
@@ -98,7 +97,7 @@ def refine(
         if settled:
             break
     hessian, _, scatter = problem.normal_equations(state, scale)
-    length = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    length = _lengths(hessian)
     inverse = np.linalg.pinv(hessian / np.outer(length, length), rcond=1e-14, hermitian=True)
     inverse /= np.outer(length, length)
     residuals = tuple(problem.residual(state, index) for index in range(len(views)))
@@ -110,3 +109,15 @@ def refine(
         tuple(scale),
         cost,
     )
+
+
+def _lengths(hessian: Array) -> Array:
+    """Return the Jacobian's column lengths: radians and millimetres differ by many powers of 10."""
+    return np.sqrt(np.maximum(np.diag(hessian), np.finfo(np.float64).tiny))
+
+
+def _solve(hessian: Array, slope: Array, damping: float) -> Array:
+    """Solve the damped normal equations with columns scaled to length 1 (Marquardt 1963)."""
+    length = _lengths(hessian)
+    scaled = hessian / np.outer(length, length) + damping * np.eye(len(length))
+    return np.asarray(np.linalg.lstsq(scaled, slope / length, rcond=1e-15)[0] / length)

@@ -150,6 +150,7 @@ def _together(
             table = Turntable(
                 *moved_axis(table.axis_point_mm, table.axis_direction, fit.state.axis)
             )
+            known = replace(known, axis_moved=known.axis_moved + fit.state.axis)
             state = State(fit.state.poses, lenses)
     assert fit is not None
     return fit, table

@@ -70,17 +70,20 @@ class Known:
         (8,) by lens, in the order of :data:`pipeline.reflectance.projection.LENS`.
     axis
         (4,).
+    axis_moved
+        (4,) by how much the views' axis has been moved from the one that is known.
     """
 
     lenses: Mapping[str, Array] = field(default_factory=dict)
     axis: Array | None = None
+    axis_moved: Array = field(default_factory=lambda: np.zeros(AXIS))
 
 
 class Problem:
     """The layout of the parameters, and the sums over all views."""
 
     def __init__(self, views: Sequence[View], start: State, known: Known) -> None:
-        self.views, self.start = views, start
+        self.views, self.start, self.known = views, start, known
         prior = [np.zeros(6 * len(views))]
         self.axis_at: slice | None = None
         self.lens_at: dict[str, slice] = {}
@@ -111,7 +114,7 @@ class Problem:
         """Return how far the shared parameters are from where they started, (size,)."""
         away = np.zeros(self.size)
         if self.axis_at is not None:
-            away[self.axis_at] = state.axis - self.start.axis
+            away[self.axis_at] = state.axis + self.known.axis_moved
         for name, at in self.lens_at.items():
             now, then = state.lenses[name], self.start.lenses[name]
             K = now.K - then.K

@@ -62,12 +62,12 @@ def place_alone(
         )
     starts = start_poses(points.points_mm, points.pixels, lens)
     view = View(recording.lens, points.points_mm, points.pixels, points.sigma_px)
-    best = _best(view, lens, [pose for pose in starts if _in_front(pose, points.points_mm)])
+    best = best_fit(view, lens, [pose for pose in starts if _in_front(pose, points.points_mm)])
     variance = _point_spread(best, points)
     return best.state.poses[0] @ canvas.inverse(), variance
 
 
-def _best(view: View, lens: Lens, starts: list[RigidTransform]) -> Refined:
+def best_fit(view: View, lens: Lens, starts: list[RigidTransform]) -> Refined:
     """Refine every start and return the best, if there is one and no other is as good."""
     if not starts:
         raise DoesNotFitError("no pose agrees with half of its pixels")

@@ -77,7 +77,8 @@ def record(
     rays = canvas_from_camera.rotate(lens.directions(lens.pixel_grid().reshape(-1, 2)))
     origin = canvas_from_camera.translation_mm
     hit = RayCaster(field.heights_mm, field.spacing_mm).first_hit(origin, rays)
-    points = np.where(np.isfinite(hit)[:, None], origin + hit[:, None] * rays, np.nan)
+    hit = np.where(np.isfinite(hit), hit, np.nan)
+    points = origin + hit[:, None] * rays
     seen = PROJECTOR.project(turned.apply(points))
     seen += np.random.default_rng(seed).normal(0, noise_px, seen.shape)
     width, height = lens.size_px
@@ -160,7 +161,7 @@ def test_a_shifted_block_of_coordinates_does_no_harm() -> None:
     field = canvas()
     coordinates = record(field, station("front"))
     x = coordinates.x.copy()
-    x[:, 140:] += 64  # one cell of a coarse code
+    x[:, 140:] += 16  # one period
     found = place(field, {"front": Recording(replace(coordinates, x=x), "C")})
     assert centre_error(found.placed["front"].pose, station("front")) < 0.3
     assert found.placed["front"].share < 0.85

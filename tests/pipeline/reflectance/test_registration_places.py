@@ -122,7 +122,8 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> dict[str, RigidTransform]:
         back = (where[sequence.name] @ SCAN_FROM_CANVAS).inverse()
         rays = back.rotate(LENS.directions(LENS.pixel_grid().reshape(-1, 2)))
         hit = RayCaster(field.heights_mm, 1.0).first_hit(back.translation_mm, rays)
-        points = np.where(np.isfinite(hit)[:, None], hit[:, None] * rays, np.nan)
+        hit = np.where(np.isfinite(hit), hit, np.nan)
+        points = hit[:, None] * rays
         seen = PROJECTOR.project(SCAN_FROM_CANVAS.apply(points + back.translation_mm))
         x, y = seen.T.reshape(2, 120, 160).astype(np.float32)
         sigma = np.full_like(x, 0.02)
@@ -247,7 +248,8 @@ def test_a_lens_far_from_what_the_canvas_shows_is_a_warning() -> None:
         log,
     )
     assert any("cx of camera C0" in text for text in log.warnings)
-    assert calibration.lenses["C1"] == calibration.lenses["C0"] != wrong
+    for name in ("C0", "C1", "CL"):
+        np.testing.assert_allclose(calibration.lenses[name].K, LENS.K, atol=0.05)
 
 
 def photo(**changes: Any) -> Photo:

@@ -105,7 +105,7 @@ def test_refinement_comes_back_from_a_wrong_start_in_any_unit(
     points = scale * grid(2.0)
     true = RigidTransform(POSE.rotation, scale * POSE.translation_mm)
     angle = np.degrees(np.linalg.norm(turn))
-    off = rotation_about_axis(np.zeros(3), np.array(turn) + [0, 0, 1e-12], angle).rotation
+    off = rotation_about_axis(np.zeros(3), np.add(turn, (0, 0, 1e-12)), angle).rotation
     start = RigidTransform(off @ true.rotation, true.translation_mm + scale * np.array(shift))
     view = View("C", points, seen(points, 0, true), np.full(len(points), 0.1))
     fit = refine([view], State((start,), {"C": CAMERA}))
