@@ -1,4 +1,4 @@
-"""Stage ``scan``: the scan sequence becomes one measured point per camera pixel."""
+"""Stage ``scan``: each scan sequence becomes one measured point per camera pixel."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from pipeline.engine.stage import Log, NoWork, Stage, reads, reads_bundle, write
 from pipeline.errors import ImpastoError
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.calibration import CALIBRATION, Calibration
+from pipeline.formats.capture import Sequence
+from pipeline.formats.placement_scans import MOST_PLACEMENTS, PLACEMENTS, PlacementScan
 from pipeline.formats.range_image import RANGE, TEXTURE, RangeImage, Texture
 
 LEAST_AGREEMENT = 0.9
@@ -29,10 +31,11 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Points, and the light they were seen in."""
+    """Points, the light they were seen in, and both of further placements."""
 
     range_image: RangeImage = writes(RANGE)
     texture: Texture = writes(TEXTURE)
+    placements: tuple[PlacementScan, ...] = writes(PLACEMENTS)
 
 
 class Config(BaseModel):
@@ -63,20 +66,77 @@ class Config(BaseModel):
 
 
 def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
-    """Decode, triangulate, correct albedo edges, drop what contradicts itself."""
-    from pipeline.scan.points import measure
-    from pipeline.structured_light.decode import decode_sequence
-
+    """Decode, triangulate, correct albedo edges, drop what contradicts itself; every placement."""
     sequences = inputs.bundle.sequences("scan")
     if not sequences:
         raise NoWork("the capture has no scan sequence")
-    sequence = sequences[0]
-    for other in sequences[1:]:
-        log.warning(f"the scan {other.name} is ignored: one placement is processed, the first")
-    calibration = inputs.calibration
-    if calibration.projector is None:
+    if inputs.calibration.projector is None:
         raise ImpastoError("the projector is not calibrated", where="calibration.json: projector")
-    camera = calibration.camera(sequence.camera)
+    range_image, texture = _measure(inputs, sequences[0], config, log)
+    if not np.isfinite(range_image.sigma_mm).any():
+        raise ImpastoError(
+            "no point could be triangulated",
+            where=f"capture.json: sequence {sequences[0].name!r}",
+            fix="check that the calibration belongs to this capture",
+        )
+    return Outputs(range_image, texture, _others(inputs, sequences, config, log))
+
+
+def _others(
+    inputs: Inputs, sequences: tuple[Sequence, ...], config: Config, log: Log
+) -> tuple[PlacementScan, ...]:
+    """Scan the placements after the first."""
+    if len(sequences) > MOST_PLACEMENTS + 1:
+        raise ImpastoError(
+            f"{len(sequences)} scan sequences",
+            where="capture.json: sequences",
+            expected=f"at most {MOST_PLACEMENTS + 1} placements of one canvas",
+        )
+    scans = []
+    for number, sequence in enumerate(sequences[1:], start=2):
+        if sequence.camera != sequences[0].camera:
+            log.warning(f"the scan {sequence.name} is left out: it is by camera {sequence.camera}")
+            continue
+        range_image, texture = _measure(inputs, sequence, config, _Numbered(log, number, sequence))
+        if not np.isfinite(range_image.sigma_mm).any():
+            log.warning(f"the scan {sequence.name} is left out: no point could be triangulated")
+            continue
+        scans.append(PlacementScan(sequence.name, range_image, texture))
+    if len(sequences) > 1:
+        log.metric("placements", 1 + len(scans))
+    return tuple(scans)
+
+
+@dataclass(frozen=True)
+class _Numbered:
+    """A log in which every figure and warning tells its placement."""
+
+    log: Log
+    number: int
+    sequence: Sequence
+
+    def progress(self, done: float, total: float, what: str = "") -> None:
+        self.log.progress(done, total, f"{what} of placement {self.number}")
+
+    def metric(self, name: str, value: float | int | str) -> None:
+        self.log.metric(f"placement_{self.number}_{name}", value)
+
+    def warning(self, text: str) -> None:
+        self.log.warning(f"{self.sequence.name}: {text}")
+
+    def skipped(self, what: str, why: str) -> None:
+        self.log.skipped(f"{self.sequence.name}: {what}", why)
+
+
+def _measure(
+    inputs: Inputs, sequence: Sequence, config: Config, log: Log
+) -> tuple[RangeImage, Texture]:
+    """Scan one placement; nothing is known anywhere if no point could be triangulated."""
+    from pipeline.scan.points import measure
+    from pipeline.structured_light.decode import decode_sequence
+
+    assert inputs.calibration.projector is not None
+    camera = inputs.calibration.camera(sequence.camera)
     coordinates = decode_sequence(
         inputs.bundle,
         sequence,
@@ -86,7 +146,7 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     measured = measure(
         coordinates,
         camera,
-        calibration.projector,
+        inputs.calibration.projector,
         epipolar_tolerance=config.epipolar_tolerance,
         correct_albedo_edges=config.correct_albedo_edges,
         fewest_pixels=config.fewest_pixels,
@@ -96,18 +156,13 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
         unsure = sigma > config.maximum_sigma_mm
         points[unsure], sigma[unsure] = np.nan, np.nan
     known = np.isfinite(sigma)
-    if not known.any():
-        raise ImpastoError(
-            "no point could be triangulated",
-            where=f"capture.json: sequence {sequence.name!r}",
-            fix="check that the calibration belongs to this capture",
-        )
-    log.metric("share_measured", float(known.mean()))
-    log.metric("median_sigma_mm", float(np.median(sigma[known])))
-    for name, value in (measured.statistics | coordinates.statistics).items():
-        log.metric(name, value)
-    _report(coordinates.statistics, measured.statistics, log)
-    return Outputs(
+    if known.any():
+        log.metric("share_measured", float(known.mean()))
+        log.metric("median_sigma_mm", float(np.median(sigma[known])))
+        for name, value in (measured.statistics | coordinates.statistics).items():
+            log.metric(name, value)
+        _report(coordinates.statistics, measured.statistics, log)
+    return (
         RangeImage(points, sigma),
         Texture(coordinates.radiance, coordinates.radiance_source),
     )
@@ -143,4 +198,4 @@ def _report(decoded: dict[str, float], measured: dict[str, float], log: Log) -> 
             log.warning(f"{saturated:.0%} of the fringes along {axis} are saturated and not used")
 
 
-STAGE = Stage("scan", version=1, inputs=Inputs, outputs=Outputs, config=Config, run=run)
+STAGE = Stage("scan", version=2, inputs=Inputs, outputs=Outputs, config=Config, run=run)

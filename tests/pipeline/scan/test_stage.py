@@ -48,6 +48,7 @@ def test_a_scan_becomes_points_with_figures(rig):
     out = run(Inputs(made.bundle(made.patterns()), calibration(made)), Config(), log)
     assert np.nanmax(np.abs(out.range_image.points_mm - made.points)) < 1.0
     assert out.texture.source == "white"
+    assert out.placements == ()
     assert np.nanmedian(out.texture.radiance) == pytest.approx(0.6, rel=0.01)
     assert list(log.metrics)[:2] == ["share_measured", "median_sigma_mm"]
     assert log.metrics["share_measured"] > 0.95
@@ -87,13 +88,22 @@ def test_frames_in_a_wrong_order_are_warned_of(rig):
     assert shift == pytest.approx(45, abs=3)
 
 
-def test_other_scans_are_named(rig):
+def test_every_placement_is_scanned(rig):
     made, log = rig(), Log()
     bundle = made.bundle(made.patterns("x"))
     first = bundle.sequences("scan")[0]
-    bundle.sequences = lambda purpose: (first, first.model_copy(update={"name": "second"}))
-    run(Inputs(bundle, calibration(made)), Config(), log)
-    assert "the scan second is ignored" in log.warnings[0]
+    second = first.model_copy(update={"name": "second"})
+    third = first.model_copy(update={"name": "third", "camera": "C1"})
+    bundle.sequences = lambda purpose: (first, second, third)
+    out = run(Inputs(bundle, calibration(made)), Config(), log)
+    (other,) = out.placements
+    assert other.name == "second"
+    assert other.range_image.points_mm.tobytes() == out.range_image.points_mm.tobytes()
+    assert other.texture.radiance.tobytes() == out.texture.radiance.tobytes()
+    assert log.metrics["placements"] == 2
+    assert log.metrics["placement_2_share_measured"] == log.metrics["share_measured"]
+    assert log.warnings == ["the scan third is left out: it is by camera C1"]
+    assert "second: the epipolar check" in log.left_out
 
 
 def test_unsure_points_are_dropped_on_request(rig):
@@ -126,7 +136,7 @@ def test_settings_have_bounds():
     for bad in ({"epipolar_tolerance": 0}, {"minimum_modulation": 2}, {"unknown": 1}):
         with pytest.raises(ValidationError):
             Config(**bad)
-    assert STAGE.output_files == ("scan/range.exr", "scan/texture.exr")
+    assert STAGE.output_files == ("scan/placements.npz", "scan/range.exr", "scan/texture.exr")
 
 
 @pytest.mark.shared_data
