@@ -24,6 +24,8 @@ AMBIGUOUS = 30.0
 
 SAME_POSE_DEG = 0.5
 
+_ROUGH_POINTS = 800
+
 
 class DoesNotFitError(Exception):
     """A sequence gives no pose; the text says why, for people."""
@@ -71,9 +73,17 @@ def best_fit(view: View, lens: Lens, starts: list[RigidTransform]) -> Refined:
     """Refine every start and return the best, if there is one and no other is as good."""
     if not starts:
         raise DoesNotFitError("no pose agrees with half of its pixels")
-    fits = [refine([view], State((start,), {view.lens: lens})) for start in starts]
+    some = slice(None, None, max(1, len(view.pixels) // _ROUGH_POINTS))
+    rough = View(view.lens, view.points_mm[some], view.pixels[some], view.sigma_px[some])
+    states: list[State] = []
+    for start in starts:
+        state = refine([rough], State((start,), {view.lens: lens})).state
+        if all(_angle_deg(state.poses[0], other.poses[0]) > SAME_POSE_DEG for other in states):
+            states.append(state)
+    fits = [refine([view], state) for state in states]
     widths = min(fit.widths for fit in fits)
-    fits = [refine([view], fit.state, widths=widths) for fit in fits]
+    if len(fits) > 1:  # sums of robust losses compare only at the same width
+        fits = [refine([view], fit.state, widths=widths) for fit in fits]
     fits = [fit for fit in fits if _in_front(fit.state.poses[0], view.points_mm)]
     if not fits:
         raise DoesNotFitError("the pose that fits looks at the canvas's back")
