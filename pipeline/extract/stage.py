@@ -72,6 +72,7 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     from pipeline.extract.canvas import find_canvas, ray_factor
     from pipeline.extract.holes import fill_holes, small_holes
     from pipeline.extract.resample import grid_around, resample
+    from pipeline.extract.roughness import unresolved_variance
 
     camera = inputs.calibration.camera(inputs.calibration.scan_camera)
     points, sigma = inputs.range_image.points_mm, inputs.range_image.sigma_mm
@@ -100,8 +101,10 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     )
     eye = field.scan_from_canvas.inverse().apply(camera.centre_mm)
     factor = ray_factor(heights, spacing, field.canvas_points(), eye)
+    deviation = (deviation * factor).astype(np.float32)
+    deviation = np.sqrt(deviation**2 + unresolved_variance(heights, deviation))
     holes, left = small_holes(np.isfinite(heights), config.fill_mm / spacing)
-    heights, deviation = fill_holes(heights, (deviation * factor).astype(np.float32), holes)
+    heights, deviation = fill_holes(heights, deviation, holes)
     field = trim(replace(field, heights_mm=heights, sigma_mm=deviation, filled=holes))
     field = without_form(field, config.form_mm, log)
     _report(field, found.skew_deg, config.straighten, left, log)
