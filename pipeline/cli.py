@@ -83,6 +83,9 @@ def impasto(debug: bool) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its status; every error is one line on stderr."""
+    # The order of BLAS's sums, and so the last bits, would depend on its number of threads; our
+    # systems are small, and our own kernels use the cores.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = _take_debug(arguments)
     try:

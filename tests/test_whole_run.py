@@ -88,10 +88,17 @@ def test_nothing_is_done_twice(canvas):
     assert {p for p in after if ".engine" not in p.parts and after[p] != before.get(p)} == set()
 
 
-def test_one_thread_gives_the_same_bytes(canvas, tmp_path, snapshot):
+def test_one_thread_gives_the_same_bytes(small_capture, tmp_path, snapshot):
+    bundle = small_capture("boards") / "bundle"
+    one = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    finished(impasto("run", bundle, "--out", tmp_path / "one", **one))
+    finished(impasto("run", bundle, "--out", tmp_path / "all"))
+    assert snapshot(tmp_path / "one") == snapshot(tmp_path / "all")
+
+
+def test_one_thread_samples_and_fits_the_same(canvas, tmp_path, snapshot):
     bundle = canvas[1].parent / "bundle"
-    one = {"NUMBA_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1", "OMP_NUM_THREADS": "1"}
-    finished(impasto("run", bundle, "--out", tmp_path, **one))
+    finished(impasto("run", bundle, "--out", tmp_path, NUMBA_NUM_THREADS="1"))
     one_thread, all_threads = snapshot(tmp_path), snapshot(canvas[0])
     for name in one_thread.keys() | all_threads.keys():
         # workspace.json says where the bundle lies from there.

@@ -36,6 +36,9 @@ def start_lens(
             expected=f"{FEWEST_VIEWS} or more, tilted in different directions",
             fix="add calibrate sequences, or give K and distortion in capture.json",
         )
+    threads = cv2.getNumThreads()
+    # On several threads OpenCV adds the views up in whatever order they end, and the last bits vary.
+    cv2.setNumThreads(1)
     try:
         _, K, distortion, _, _ = cv2.calibrateCamera(
             [p.astype(np.float32) for p in points],
@@ -50,6 +53,8 @@ def start_lens(
             f"{what} cannot be calibrated: {error.err}",
             fix="record boards tilted in different directions",
         ) from error
+    finally:
+        cv2.setNumThreads(threads)
     return Lens(size_px, np.asarray(K, np.float64), np.asarray(distortion, np.float64).ravel()[:5])
 
 

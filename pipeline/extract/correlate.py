@@ -52,7 +52,7 @@ class CoarseMap:
 
 def coarse_spacing(maps: list[PatchMap]) -> float:
     """Return the spacing of all the coarse maps."""
-    return max(max(m.heights.shape) * m.spacing_mm for m in maps) / _SIDE
+    return float(max(max(m.heights.shape) * m.spacing_mm for m in maps)) / _SIDE
 
 
 def coarse(fine: PatchMap, spacing_mm: float) -> CoarseMap:
@@ -82,7 +82,7 @@ def match(first: CoarseMap, second: CoarseMap) -> Match:
     rows, columns = (
         fft.next_fast_len(a + b, real=True)
         for a, b in zip(
-            first.layers.shape[1:], (2 * max(second.layers.shape[1:]),) * 2, strict=True
+            first.layers.shape[1:], (int(1.25 * max(second.layers.shape[1:])) + 2,) * 2, strict=True
         )
     )
     shape = (rows, columns)
@@ -110,13 +110,12 @@ def match(first: CoarseMap, second: CoarseMap) -> Match:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Transforms of mask, values and their squares, with the sums over the whole map."""
+    """Transforms of mask, values (of unit power) and their squares; count of the mask."""
 
     mask: NDArray[np.complexfloating]
     values: NDArray[np.complexfloating]
     squares: NDArray[np.complexfloating]
     count: float
-    power: float
 
 
 def _spectra(layer: Array, shape: tuple[int, int]) -> _Spectra | None:
@@ -126,8 +125,8 @@ def _spectra(layer: Array, shape: tuple[int, int]) -> _Spectra | None:
     if not power > 0:
         return None
     values = values / np.sqrt(power)
-    transforms = (fft.rfft2(a, shape) for a in (known.astype(np.float64), values, values**2))
-    return _Spectra(*transforms, float(np.count_nonzero(known)), 1.0)
+    mask, plain, squares = (fft.rfft2(a, shape) for a in (1.0 * known, values, values**2))
+    return _Spectra(mask, plain, squares, float(np.count_nonzero(known)))
 
 
 def _scores(a: _Spectra, b: _Spectra, area: float, shape: tuple[int, int]) -> Array:
@@ -150,7 +149,9 @@ def _scores(a: _Spectra, b: _Spectra, area: float, shape: tuple[int, int]) -> Ar
 
 def _correlation_area(a: Array, b: Array) -> float:
     """Return how many samples make one independent pair (Bartlett 1946)."""
-    shape = tuple(fft.next_fast_len(2 * max(m, n), real=True) for m, n in zip(a.shape, b.shape))  # noqa: B905
+    shape = tuple(
+        fft.next_fast_len(2 * max(m, n), real=True) for m, n in zip(a.shape, b.shape, strict=True)
+    )
     product = np.ones(shape)
     for image in (a, b):
         values = np.where(np.isfinite(image), image, 0.0)

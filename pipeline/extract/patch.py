@@ -98,7 +98,7 @@ def find_patch(
         range_image.points_mm, range_image.sigma_mm, camera, erosion_px, straighten=False
     )
     mask = found.region.mask
-    inverse = found.scan_from_canvas.inverse()
+    inverse = found.scene_from_canvas.inverse()
     radiance = np.asarray(texture.radiance, dtype=np.float64)
     seen = (radiance if radiance.ndim == 2 else radiance.mean(axis=2))[mask]
     # Lambert's law on the plane: the relief's own shading stays, and is alike in all placements.
@@ -109,7 +109,7 @@ def find_patch(
     floor = _DARKEST * float(np.median(known)) if known.size else 1.0
     return Patch(
         name,
-        found.scan_from_canvas,
+        found.scene_from_canvas,
         found.points,
         np.asarray(range_image.sigma_mm[mask], dtype=np.float64),
         np.log(albedo + max(floor, 1e-30)),

@@ -12,6 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pipeline.errors import ImpastoError
+from pipeline.formats.height_field import MAX_SAMPLES
+
 Array = NDArray[np.float64]
 
 KERNEL_SAMPLES = 0.75
@@ -57,6 +60,23 @@ def grid_around(points: NDArray[np.floating], spacing_mm: float) -> Grid:
     columns, rows = (int(n) for n in np.floor((high - low) / spacing_mm + 0.5) + 1)
     left, top = (low + high) / 2 + np.array([-(columns - 1), rows - 1]) * spacing_mm / 2
     return Grid(float(left), float(top), rows, columns, spacing_mm)
+
+
+def check_size(grid: Grid) -> None:
+    """Refuse a grid of more samples than a height field may have.
+
+    Raises
+    ------
+    ImpastoError
+        Naming the setting that makes it smaller.
+    """
+    if grid.rows * grid.columns > MAX_SAMPLES:
+        raise ImpastoError(
+            f"{grid.columns} x {grid.rows} samples of {grid.spacing_mm:.4g} mm",
+            where="extract.spacing_mm",
+            expected=f"at most {MAX_SAMPLES} samples",
+            fix="set a larger extract.spacing_mm",
+        )
 
 
 def resample(

@@ -10,17 +10,20 @@ from pydantic import BaseModel, ConfigDict, Field
 from pipeline.engine.stage import Log, Stage, reads, writes
 from pipeline.errors import ImpastoError
 from pipeline.formats.calibration import CALIBRATION, Calibration
-from pipeline.formats.height_field import HEIGHT, MAX_SAMPLES, HeightField
-from pipeline.formats.range_image import RANGE, RangeImage
+from pipeline.formats.height_field import HEIGHT, HeightField, Placement
+from pipeline.formats.placement_scans import PLACEMENTS, PlacementScan
+from pipeline.formats.range_image import RANGE, TEXTURE, RangeImage, Texture
 from pipeline.geometry.rigid import RigidTransform
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The scan and who took it."""
+    """The scan of each placement and who took it."""
 
     range_image: RangeImage = reads(RANGE)
     calibration: Calibration = reads(CALIBRATION)
+    texture: Texture = reads(TEXTURE)
+    placements: tuple[PlacementScan, ...] = reads(PLACEMENTS)
 
 
 @dataclass(frozen=True)
@@ -67,12 +70,42 @@ class Config(BaseModel):
     )
 
 
+@dataclass(frozen=True)
+class _Sampled:
+    """A height field with all its holes, and what is known of how it came about."""
+
+    field: HeightField
+    skew_deg: float | None
+    slope: float | None
+    pixels: int
+
+
 def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     """Find the canvas, straighten it and sample it; source: spec of the painting, 1.2."""
-    from pipeline.extract.canvas import find_canvas, ray_factor
     from pipeline.extract.holes import fill_holes, small_holes
-    from pipeline.extract.resample import grid_around, resample
     from pipeline.extract.roughness import unresolved_variance
+
+    sampled = _sample_several(inputs, config, log) if inputs.placements else None
+    if sampled is None:
+        sampled = _sample(inputs, config, log)
+    field = sampled.field
+    heights, deviation = field.heights_mm, field.sigma_mm
+    deviation = np.sqrt(deviation**2 + unresolved_variance(heights, deviation))
+    holes, left = small_holes(np.isfinite(heights), config.fill_mm / field.spacing_mm)
+    heights, deviation = fill_holes(heights, deviation, holes)
+    field = trim(replace(field, heights_mm=heights, sigma_mm=deviation, filled=holes))
+    field = without_form(field, config.form_mm, log)
+    _report(field, sampled.skew_deg, config.straighten, left, log)
+    if sampled.slope is not None:
+        log.metric("steepest_slope", sampled.slope)
+    log.metric("scan_pixels", sampled.pixels)
+    return Outputs(field)
+
+
+def _sample(inputs: Inputs, config: Config, log: Log) -> _Sampled:
+    """Sample the canvas of one placement, the first."""
+    from pipeline.extract.canvas import find_canvas, ray_factor
+    from pipeline.extract.resample import check_size, grid_around, resample
 
     camera = inputs.calibration.camera(inputs.calibration.scan_camera)
     points, sigma = inputs.range_image.points_mm, inputs.range_image.sigma_mm
@@ -80,13 +113,7 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     distance = found.region.sampling.distance_mm
     spacing = config.spacing_mm or distance
     grid = grid_around(found.points[:, :2], spacing)
-    if grid.rows * grid.columns > MAX_SAMPLES:
-        raise ImpastoError(
-            f"{grid.columns} x {grid.rows} samples of {spacing:.4g} mm",
-            where="extract.spacing_mm",
-            expected=f"at most {MAX_SAMPLES} samples",
-            fix="set a larger extract.spacing_mm",
-        )
+    check_size(grid)
     kernel = config.kernel_samples * max(distance, spacing)
     heights, deviation = resample(
         found.points,
@@ -101,16 +128,55 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     )
     eye = field.scan_from_canvas.inverse().apply(camera.centre_mm)
     factor = ray_factor(heights, spacing, field.canvas_points(), eye)
-    deviation = (deviation * factor).astype(np.float32)
-    deviation = np.sqrt(deviation**2 + unresolved_variance(heights, deviation))
-    holes, left = small_holes(np.isfinite(heights), config.fill_mm / spacing)
-    heights, deviation = fill_holes(heights, deviation, holes)
-    field = trim(replace(field, heights_mm=heights, sigma_mm=deviation, filled=holes))
-    field = without_form(field, config.form_mm, log)
-    _report(field, found.skew_deg, config.straighten, left, log)
-    log.metric("steepest_slope", found.region.slope)
-    log.metric("scan_pixels", len(found.points))
-    return Outputs(field)
+    field = replace(field, sigma_mm=(deviation * factor).astype(np.float32))
+    return _Sampled(field, found.skew_deg, found.region.slope, len(found.points))
+
+
+def _sample_several(inputs: Inputs, config: Config, log: Log) -> _Sampled | None:
+    """Put the placements together; None if none can be joined to the first."""
+    from pipeline.extract.placements import find_together, merge, registration_rms_mm
+
+    calibration = inputs.calibration
+    if calibration.projector is None:
+        raise ImpastoError("the projector is not calibrated", where="calibration.json: projector")
+    camera = calibration.camera(calibration.scan_camera)
+    first = PlacementScan("first", inputs.range_image, inputs.texture)
+    together = find_together(
+        [first, *inputs.placements],
+        camera,
+        calibration.projector.centre_mm,
+        config.erosion_px,
+        lambda done, total: log.progress(done, total, "placements found"),
+    )
+    for name, why in together.left_out.items():
+        log.warning(f"the scan {name} is left out: {why}")
+    log.metric("placements", len(together.patches))
+    if together.registration is None:
+        return None
+    spacing = config.spacing_mm or together.patches[0].distance_mm
+    merged = merge(
+        together,
+        camera,
+        spacing,
+        config.kernel_samples,
+        straighten=config.straighten,
+        progress=lambda done, total: log.progress(done, total, "placements sampled"),
+    )
+    log.metric("registration_rms_um", 1000 * registration_rms_mm(together.registration))
+    log.metric("share_overlap", merged.share_overlap)
+    origin = RigidTransform(np.eye(3), np.array([merged.grid.left_mm, merged.grid.top_mm, 0.0]))
+    field = HeightField(
+        merged.heights,
+        merged.sigma,
+        np.zeros(merged.heights.shape, bool),
+        spacing,
+        merged.scan_from_canvas[0] @ origin,
+        placements=tuple(
+            Placement(patch.name, pose @ origin)
+            for patch, pose in zip(together.patches, merged.scan_from_canvas, strict=True)
+        ),
+    )
+    return _Sampled(field, merged.skew_deg, None, sum(len(p.points) for p in together.patches))
 
 
 def without_form(field: HeightField, least_mm: float, log: Log) -> HeightField:
@@ -134,18 +200,20 @@ def trim(field: HeightField) -> HeightField:
     Parameters
     ----------
     field
-        With at least one sample.
+        With at least one sample, its form still in its heights.
     """
     known = np.isfinite(field.heights_mm)
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    corner = np.array([columns[0], -rows[0], 0.0]) * field.spacing_mm
+    offset = np.array([columns[0], -rows[0], 0.0]) * field.spacing_mm
+    corner = RigidTransform(np.eye(3), offset)
     return HeightField(
         field.heights_mm[part].copy(),
         field.sigma_mm[part].copy(),
         field.filled[part].copy(),
         field.spacing_mm,
-        field.scan_from_canvas @ RigidTransform(np.eye(3), corner),
+        field.scan_from_canvas @ corner,
+        placements=tuple(Placement(p.name, p.scan_from_canvas @ corner) for p in field.placements),
     )
 
 
