@@ -37,7 +37,7 @@ def start_lens(
             fix="add calibrate sequences, or give K and distortion in capture.json",
         )
     threads = cv2.getNumThreads()
-    # On several threads OpenCV adds the views up in whatever order they end, and the last bits vary.
+    # On several threads OpenCV adds the views up as they end, and the last bits vary.
     cv2.setNumThreads(1)
     try:
         _, K, distortion, _, _ = cv2.calibrateCamera(
