@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.engine.stage import Log, Stage, reads, reads_bundle, writes
@@ -14,6 +15,7 @@ from pipeline.formats.boxes import BOXES, Relief
 from pipeline.formats.bundle import Bundle
 from pipeline.formats.calibration import CALIBRATION, Calibration
 from pipeline.formats.height_field import HEIGHT, HeightField
+from pipeline.formats.placement_scans import PLACEMENTS, PlacementScan
 from pipeline.formats.range_image import TEXTURE, Texture
 from pipeline.formats.reflectance_maps import MAPS, ReflectanceMaps
 
@@ -29,6 +31,7 @@ class Inputs:
     height_field: HeightField = reads(HEIGHT)
     relief: Relief = reads(BOXES)
     texture: Texture = reads(TEXTURE)
+    placements: tuple[PlacementScan, ...] = reads(PLACEMENTS)
     maps: ReflectanceMaps | None = reads(MAPS, optional=True)
 
 
@@ -56,19 +59,24 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     """Put the asset together; source: spec of the painting, 1.6."""
     from pipeline.geometry.height_grid import normals
     from pipeline.pack.reflectance import complete, matte
-    from pipeline.pack.white_albedo import fill_from_nearest, relative_albedo, scale_for
+    from pipeline.pack.white_albedo import (
+        blended_albedo,
+        fill_from_nearest,
+        relative_albedo,
+        scale_for,
+    )
 
     field, maps = inputs.height_field, inputs.maps
     canvas = np.isfinite(field.heights_mm)
     calibration = inputs.calibration
     if calibration.projector is None:
         raise ImpastoError("the projector is not calibrated", where="calibration.json: projector")
-    relative = relative_albedo(
-        field,
-        inputs.texture.radiance,
-        calibration.camera(calibration.scan_camera),
-        calibration.projector.centre_mm,
-    )
+    camera = calibration.camera(calibration.scan_camera)
+    lamp = calibration.projector.centre_mm
+    if field.placements:
+        relative = blended_albedo(field, _pictures(inputs), camera, lamp)
+    else:
+        relative = relative_albedo(field, inputs.texture.radiance, camera, lamp)
     relative, unknown = fill_from_nearest(relative, canvas)
     notes: Notes = {
         "colour_calibrated": False,
@@ -113,6 +121,21 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
     log.metric("texels", rows * columns)
     log.metric("reflectance", str(notes["reflectance"]))
     return Outputs(asset)
+
+
+def _pictures(inputs: Inputs) -> list[NDArray[np.float32]]:
+    """Return the pictures of the placements that the canvas was put together from."""
+    by_name = {scan.name: scan.texture.radiance for scan in inputs.placements}
+    _, *others = inputs.height_field.placements
+    missing = [placement.name for placement in others if placement.name not in by_name]
+    if missing:
+        raise ImpastoError(
+            f"it has no picture of the placement {missing[0]!r}",
+            where="scan/placements.npz",
+            expected="the placements that extract/frame.json names",
+            fix="run again from scan: impasto run ... --from scan",
+        )
+    return [inputs.texture.radiance, *(by_name[placement.name] for placement in others)]
 
 
 def _assumption(factor: float, config: Config) -> Notes:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from pipeline.formats.height_field import HeightField
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.fade import fade
 from pipeline.geometry.height_grid import normals, sample_bilinear
 
 LEAST_COSINE = 0.15
@@ -60,6 +65,73 @@ def relative_albedo(
     factor = (distance / 1000) ** 2 / np.maximum(cosine, LEAST_COSINE)
     albedo = np.maximum(seen * factor[..., None], 0)
     return np.broadcast_to(albedo, (*factor.shape, 3)).astype(np.float32)
+
+
+def blended_albedo(
+    field: HeightField,
+    pictures: Sequence[NDArray[np.floating]],
+    camera: Camera,
+    projector_centre_mm: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """Free pictures of several placements of the projector's fall-off, and blend them.
+
+    Parameters
+    ----------
+    field
+        The canvas, with its placements.
+    pictures
+        The radiance of each, in the order of ``field.placements``.
+    camera, projector_centre_mm
+        As for :func:`relative_albedo`.
+
+    Returns
+    -------
+    (rows, columns, 3) float32 on the canvas; NaN where it is not known.
+
+    Notes
+    -----
+    Each picture fades out towards its border. Their exposures need not be alike: one factor each
+    makes the logarithms agree best where they overlap, the first one's being 1.
+    """
+    albedos = [
+        relative_albedo(
+            replace(field, scan_from_canvas=placement.scan_from_canvas),
+            picture,
+            camera,
+            projector_centre_mm,
+        )
+        for placement, picture in zip(field.placements, pictures, strict=True)
+    ]
+    gains = _gains(albedos)
+    total = np.zeros(field.heights_mm.shape)
+    albedo = np.zeros((*total.shape, 3))
+    for image, gain in zip(albedos, gains, strict=True):
+        known = np.asarray(np.isfinite(image).all(axis=-1))
+        weight = fade(known)
+        total += weight
+        albedo += weight[..., None] * np.where(known[..., None], gain * image, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (albedo / total[..., None]).astype(np.float32)
+
+
+def _gains(albedos: list[NDArray[np.float32]]) -> NDArray[np.float64]:
+    """Return the factors that make overlapping pictures agree; 1 for the first."""
+    count = len(albedos)
+    system, right = np.zeros((count, count)), np.zeros(count)
+    system[0, 0] = 1.0
+    for i, j in combinations(range(count), 2):
+        both = (albedos[i] > 0) & (albedos[j] > 0)
+        if not both.any():
+            continue
+        weight = float(np.count_nonzero(both))
+        ratio = float(np.median(np.log(albedos[i][both]) - np.log(albedos[j][both])))
+        system[[i, j], [i, j]] += weight
+        system[[i, j], [j, i]] -= weight
+        right[i] -= weight * ratio
+        right[j] += weight * ratio
+    # A picture without overlap keeps its own exposure: the pseudo-inverse leaves it at 1.
+    logarithm = np.linalg.pinv(system, hermitian=True) @ right
+    return np.asarray(np.exp(logarithm - logarithm[0]))
 
 
 def smooth_normals(field: HeightField) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from pipeline.errors import ImpastoError
 from pipeline.extract.stage import STAGE, Config, Inputs, run
 from pipeline.formats.calibration import Calibration
-from pipeline.formats.range_image import RangeImage
+from pipeline.formats.range_image import RangeImage, Texture
 
 
 class Recorder:
@@ -37,7 +37,7 @@ def inputs_of(scene) -> Inputs:
         projector=None,
     )
     image = RangeImage(scene.points.astype(np.float32), scene.sigma)
-    return Inputs(image, calibration)
+    return Inputs(image, calibration, Texture(np.ones_like(scene.sigma), "white"), ())
 
 
 def test_heights_agree_with_the_truth(make_scene, reliefs) -> None:

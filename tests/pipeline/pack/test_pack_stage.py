@@ -58,6 +58,7 @@ def inputs(maps: ReflectanceMaps | None = None, projector: bool = True) -> Input
         height_field=field,
         relief=Relief(boxes_of(heights, heights > 0.2, 0.2, 8), {}),
         texture=Texture(radiance, "white"),
+        placements=(),
         maps=maps,
     )
 
