@@ -8,52 +8,46 @@ from numpy.typing import NDArray
 from benchmarks.results import Result, Row, timed
 from benchmarks.scene import Scene
 from pipeline.extract.resample import grid_around, resample
+from pipeline.extract.roughness import unresolved_variance
 
 Array = NDArray[np.float64]
 
 
 def measure(*, quick: bool = False) -> Result:
     """Resample scattered points of a known relief."""
-    size = (320, 256) if quick else (640, 512)
-    rows = []
+    size = (240, 192) if quick else (480, 384)
+    scene, dense = Scene(size), Scene((3 * size[0], 3 * size[1]))
+    clean, axes = canvas_axes(scene.points)
+    distance = float(np.sqrt(np.ptp(clean[:, 0]) * np.ptp(clean[:, 1]) / len(clean)))
+    grid = grid_around(clean[:, :2] * 0.9, distance)
+    fine, _ = canvas_axes(dense.points, axes)
+    expected = griddata(fine, grid, "linear")
+    rng, rows = np.random.default_rng(9), []
     for noise in (0.01,) if quick else (0.0, 0.01, 0.05):
-        points, truth, distance = scattered(size, noise)
+        points = clean + np.array([0, 0, 1.0]) * rng.normal(0, noise, (len(clean), 1))
         sigma = np.full(len(points), max(noise, 1e-3))
-        inside = grid_around(points[:, :2] * 0.9, distance)
-        expected = truth(inside)
         for width in (0.5, 0.75, 1.0, 1.5):
             seconds, (heights, deviation) = timed(
-                lambda w=width, p=points, s=sigma, g=inside, d=distance: resample(p, s, g, w * d)
+                lambda w=width, p=points, s=sigma: resample(p, s, grid, w * distance)
             )
+            stated = np.sqrt(deviation**2 + unresolved_variance(heights, deviation))
             rows.append(row(f"kernel {width} samples, noise {noise} mm", seconds, heights, expected,
-                            deviation=deviation, default=width == 0.75))  # fmt: skip
+                            deviation=stated, default=width == 0.75))  # fmt: skip
         for method in ("linear", "cubic"):
-            seconds, heights = timed(
-                lambda m=method, p=points, g=inside: griddata(p, g, m), turns=1
-            )
+            seconds, heights = timed(lambda m=method, p=points: griddata(p, grid, m), turns=1)
             rows.append(row(f"SciPy griddata {method}, noise {noise} mm", seconds, heights,
                             expected, peer=True))  # fmt: skip
     title = f"resampling {size[0] * size[1]} points of a relief"
     return Result("extract", title, "RMS error, um", rows)
 
 
-def scattered(size, noise):  # type: ignore[no-untyped-def]
-    """Return points of a scan in the canvas plane's axes, the truth, the spacing."""
-    scene = Scene(size)
-    flat = scene.points.reshape(-1, 3)
-    centre = flat.mean(axis=0)
-    axes = np.linalg.svd(flat[::7] - centre, full_matrices=False)[2]
-    local = (flat - centre) @ axes.T
-    rng = np.random.default_rng(9)
-    points = local + np.array([0, 0, 1.0]) * rng.normal(0, noise, (len(local), 1))
-    area = np.ptp(local[:, 0]) * np.ptp(local[:, 1])
-    dense = Scene((size[0] * 3, size[1] * 3))
-    dense_local = (dense.points.reshape(-1, 3) - centre) @ axes.T
-
-    def truth(grid) -> Array:  # type: ignore[no-untyped-def]
-        return griddata(dense_local, grid, "linear")
-
-    return points, truth, float(np.sqrt(area / len(local)))
+def canvas_axes(points: Array, axes=None):  # type: ignore[no-untyped-def]
+    """Return points (N, 3) in the axes of their own plane, or in given ones, and those axes."""
+    flat = points.reshape(-1, 3)
+    if axes is None:
+        centre = flat.mean(axis=0)
+        axes = centre, np.linalg.svd(flat[::7] - centre, full_matrices=False)[2]
+    return (flat - axes[0]) @ axes[1].T, axes
 
 
 def griddata(points: Array, grid, method: str) -> Array:  # type: ignore[no-untyped-def]

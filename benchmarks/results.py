@@ -93,9 +93,9 @@ class Result:
         shown = [row for row in self.rows if row.error > 0 and row.seconds > 0]
         if not shown:
             return '<svg xmlns="http://www.w3.org/2000/svg"/>\n'
-        width, height, edge = 760, 460, 70
-        x = _scale([row.seconds for row in shown], edge, width - 190)
-        y = _scale([row.error for row in shown], height - edge, 40)
+        width, height, edge, plot = 980, max(420, 90 + 22 * len(shown)), 64, 560
+        x = _scale([row.seconds for row in shown], edge, plot)
+        y = _scale([row.error for row in shown], height - edge, 50)
         best = [row for row in self.frontier() if row in shown]
         path = " ".join(f"{x(row.seconds):.1f},{y(row.error):.1f}" for row in best)
         parts = [
@@ -103,18 +103,30 @@ class Result:
             'font-family="sans-serif" font-size="12">',
             '<rect width="100%" height="100%" fill="#fff"/>',
             f'<text x="{edge}" y="22" font-size="15">{_safe(self.title)}</text>',
-            f'<text x="{edge}" y="{height - 18}">run time, s</text>',
-            f'<text x="14" y="34">{_safe(self.error_name)}</text>',
+            f'<text x="{edge}" y="{height - 14}">run time, s (logarithmic)</text>',
+            f'<text x="8" y="42">{_safe(self.error_name)}</text>',
+            f'<path d="M{edge} 50V{height - edge}H{plot}" fill="none" stroke="#999"/>',
             f'<polyline points="{path}" fill="none" stroke="#8a4b2a"/>',
         ]
-        for row in shown:
+        seconds, errors = ([getattr(row, key) for row in shown] for key in ("seconds", "error"))
+        parts += [
+            f'<text x="{x(value) - 12:.1f}" y="{height - edge + 18}">{value:.2g}</text>'
+            for value in (min(seconds), max(seconds))
+        ]
+        parts += [
+            f'<text x="8" y="{y(value) + 4:.1f}">{value:.3g}</text>'
+            for value in (min(errors), max(errors))
+        ]
+        for number, row in enumerate(shown, start=1):
             colour = "#777" if row.peer else "#1d4f91"
-            fill = colour if row.default else "#fff"
+            fill, ink = (colour, "#fff") if row.default else ("#fff", colour)
             left, top = x(row.seconds), y(row.error)
             parts.append(
-                f'<circle cx="{left:.1f}" cy="{top:.1f}" r="5" fill="{fill}" stroke="{colour}"/>'
-                f'<text x="{left + 9:.1f}" y="{top + 4:.1f}" fill="{colour}">'
-                f"{_safe(row.name)} ({row.seconds:.3g} s, {row.error:.3g})</text>"
+                f'<circle cx="{left:.1f}" cy="{top:.1f}" r="9" fill="{fill}" stroke="{colour}"/>'
+                f'<text x="{left:.1f}" y="{top + 4:.1f}" fill="{ink}" font-size="10" '
+                f'text-anchor="middle">{number}</text>'
+                f'<text x="{plot + 24}" y="{50 + 22 * number}" fill="{colour}">{number}  '
+                f"{_safe(row.name)}: {row.seconds:.3g} s, {row.error:.3g}</text>"
             )
         return "".join(parts) + "</svg>\n"
 
