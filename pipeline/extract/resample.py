@@ -159,7 +159,8 @@ def _bins(
         The points' order, where each bin starts in it, and the bins' (rows, columns).
     """
     height, width = (n * grid.spacing_mm for n in (grid.rows - 1, grid.columns - 1))
-    shape = (int(height // side) + 3, int(width // side) + 3)
+    # One bin before the grid, one that its end lies in, one after it, and one for rounding.
+    shape = (int(height // side) + 4, int(width // side) + 4)
     row = np.floor((grid.top_mm - points[:, 1]) / side).astype(np.int64) + 1
     column = np.floor((points[:, 0] - grid.left_mm) / side).astype(np.int64) + 1
     inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])

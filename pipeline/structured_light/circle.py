@@ -184,8 +184,9 @@ def _turn_per_pixel(phase: Image, lit: NDArray[np.bool_]) -> float:
     along = []
     for axis in (0, 1):
         step = np.diff(phase, axis=axis)
+        step -= np.float32(2 * np.pi) * np.rint(step / np.float32(2 * np.pi))
         both = np.logical_and(*((lit[1:], lit[:-1]) if axis == 0 else (lit[:, 1:], lit[:, :-1])))
-        turn = np.abs(np.angle(np.exp(1j * step[both])))
+        turn = np.abs(step[both])
         along.append(float(np.median(turn)) if turn.size else 0.0)
     return math.hypot(*along)
 

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 import scipy.special
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from pipeline.formats.calibration import Calibration
+from pipeline.formats.placement_scans import PlacementScan
+from pipeline.formats.range_image import RangeImage, Texture
 from pipeline.geometry.camera import Camera, Lens
 from pipeline.geometry.raycast import RayCaster
 from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
@@ -151,3 +155,131 @@ RELIEFS = {"flat": flat, "impasto": impasto, "deep": deep}
 @pytest.fixture(scope="session")
 def reliefs() -> dict[str, Relief]:
     return RELIEFS
+
+
+PAINT_STEP_MM = 0.25
+CAMERA_FROM_TABLE = RigidTransform(np.diag([1.0, -1, -1]), np.array([0.0, 0, 600.0]))
+LAMP_MM = np.array([150.0, 60.0, 560.0])  # in the table's axes: the camera looks down on it
+
+
+@dataclass(frozen=True)
+class Painting:
+    """A relief and its albedo around the canvas's middle; it is moved, the rig stays."""
+
+    x: Array
+    y: Array
+    heights: Array
+    albedo: Array
+
+    def at(self, points: Array, image: Array | None = None) -> Array:
+        """Return the height, or what another image holds, under points (..., 2 or 3)."""
+        place = [(self.y[0] - points[..., 1]), (points[..., 0] - self.x[0])]
+        return ndimage.map_coordinates(
+            self.heights if image is None else image,
+            [np.nan_to_num(p / PAINT_STEP_MM) for p in place],
+            order=1,
+            cval=np.nan,
+        )
+
+
+@pytest.fixture(scope="session")
+def make_painting() -> Callable[..., Painting]:
+    def make(
+        relief: float = 0.25,
+        contrast: float = 0.4,
+        bulge: float = 0.0,
+        size: tuple[float, float] = (260.0, 180.0),
+        seed: int = 0,
+    ) -> Painting:
+        rng = np.random.default_rng(seed)
+        columns, rows = (int(n / PAINT_STEP_MM) + 1 for n in size)
+        x = (np.arange(columns) - (columns - 1) / 2) * PAINT_STEP_MM
+        y = -(np.arange(rows) - (rows - 1) / 2) * PAINT_STEP_MM
+
+        def strokes(width: float) -> Array:
+            image = rng.standard_normal((rows, columns))
+            image = ndimage.gaussian_filter(image, width / PAINT_STEP_MM)
+            return image / image.std()
+
+        heights = relief * (0.6 * strokes(1.5) + 0.8 * strokes(5.0))
+        heights = heights - bulge * ((2 * x / size[0]) ** 2 + 0.7 * (2 * y[:, None] / size[1]) ** 2)
+        return Painting(x, y, heights, 0.3 * np.exp(contrast * (strokes(1.2) + strokes(8.0))))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def move() -> Callable[..., RigidTransform]:
+    """Give motions of the canvas on the table: shift, turn in the plane, two tilts, lift."""
+
+    def made(
+        x: float, y: float, turn: float = 0.0, tilt: tuple[float, float] = (0, 0), z: float = 0.0
+    ) -> RigidTransform:
+        turned = (
+            rotation_about_axis(np.zeros(3), np.array([0, 0, 1.0]), turn)
+            @ rotation_about_axis(np.zeros(3), np.array([1.0, 0, 0]), tilt[0])
+            @ rotation_about_axis(np.zeros(3), np.array([0, 1.0, 0]), tilt[1])
+        )
+        return RigidTransform(turned.rotation, np.array([x, y, z]))
+
+    return made
+
+
+@dataclass(frozen=True)
+class Table:
+    """A rig over a table, and scans of a painting that lies on it; the table's is the scan's."""
+
+    camera: Camera
+    calibration: Calibration
+
+    def scan(
+        self,
+        painting: Painting,
+        table_from_canvas: RigidTransform,
+        name: str,
+        *,
+        noise: float = 0.02,
+        stated: float | None = None,
+        gain: float = 1.0,
+        seed: int = 0,
+    ) -> PlacementScan:
+        """Scan it; where the picture reaches beyond the canvas there is nothing."""
+        rng = np.random.default_rng(seed)
+        rays = self.camera.lens.directions(self.camera.lens.pixel_grid())
+        back = table_from_canvas.inverse() @ self.camera.pose.inverse()
+        directions = back.rotate(rays).reshape(-1, 3)
+        origin = back.translation_mm - np.array([painting.x[0], painting.y[0], 0])
+        t = RayCaster(painting.heights, PAINT_STEP_MM).first_hit(
+            np.broadcast_to(origin, directions.shape).copy(), directions
+        )
+        t = np.where(np.isfinite(t), t, np.nan).reshape(rays.shape[:2])
+        hit = back.apply(rays * t[..., None])
+        down, right = np.gradient(painting.heights, PAINT_STEP_MM)
+        normal = np.stack(
+            [-painting.at(hit, right), painting.at(hit, down), np.ones_like(t)], axis=-1
+        )
+        normal = table_from_canvas.rotate(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+        way = LAMP_MM - table_from_canvas.apply(hit)
+        distance = np.linalg.norm(way, axis=-1)
+        cosine = np.maximum(np.einsum("...i,...i", normal, way) / distance, 0)
+        light = gain * painting.at(hit, painting.albedo) * cosine / (distance / 1000) ** 2
+        light = light * (1 + 0.01 * rng.standard_normal(t.shape))
+        known = np.isfinite(t)
+        t = t + noise * rng.standard_normal(t.shape) / np.linalg.norm(rays, axis=-1)
+        points = self.camera.pose.inverse().apply(rays * t[..., None])
+        sigma = np.where(known, noise if stated is None else stated, np.nan)
+        return PlacementScan(
+            name,
+            RangeImage(points.astype(np.float32), sigma.astype(np.float32)),
+            Texture(np.where(known, light, np.nan).astype(np.float32), "white"),
+        )
+
+
+@pytest.fixture(scope="session")
+def table() -> Table:
+    K = np.array([[1150.0, 0, 129.5], [0, 1150.0, 99.5], [0, 0, 1]])
+    lens = Lens((260, 200), K, np.array([-0.05, 0.01, 0.0005, -0.0003, 0]))
+    camera = Camera(lens, CAMERA_FROM_TABLE)
+    projector = Camera(lens, RigidTransform(np.eye(3), -LAMP_MM))
+    known = Calibration("rig", "C0", {"C0": lens}, {"C0": camera.pose}, projector)
+    return Table(camera, known)
