@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -184,6 +185,7 @@ class Painting:
 
 @pytest.fixture(scope="session")
 def make_painting() -> Callable[..., Painting]:
+    @functools.cache
     def make(
         relief: float = 0.25,
         contrast: float = 0.4,

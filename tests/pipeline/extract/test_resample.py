@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.extract.resample import Grid, grid_around, resample
+from pipeline.extract.resample import Grid, _bins, grid_around, resample
 
 
 def scatter(seed: int, distance: float, side: float = 40.0) -> np.ndarray:
@@ -128,3 +128,18 @@ def test_a_grid_is_centred_on_its_points() -> None:
 def test_a_kernel_must_have_a_width() -> None:
     with pytest.raises(ValueError, match="positive"):
         resample(np.zeros((3, 3)), np.ones(3), Grid(0, 0, 2, 2, 1.0), 0.0)
+
+
+@pytest.mark.parametrize("rows", [49, 553, 241])
+def test_a_grid_that_ends_on_a_bin_s_edge_stays_inside_the_bins(rows: int) -> None:
+    """Which bin a sample on an edge falls in is a matter of rounding; all of them must exist."""
+    rng = np.random.default_rng(rows)
+    for _ in range(300):
+        spacing = float(rng.uniform(0.1, 1))
+        grid = Grid(float(rng.uniform(-200, 200)), float(rng.uniform(-200, 200)), rows, 2, spacing)
+        side = 3.2 * 0.75 * spacing
+        _, starts, shape = _bins(np.zeros((1, 3)), grid, side)
+        bottom = grid.top_mm - (rows - 1) * spacing
+        last = int((grid.top_mm - bottom) / side) + 1
+        assert last + 1 < shape[0]
+        assert (last + 1) * shape[1] + 1 + 2 < len(starts)
