@@ -11,7 +11,7 @@ from pipeline.formats.form import HIGHEST_DEGREE, Form, exponents
 
 Array = NDArray[np.float64]
 
-_MOST_SAMPLES = 40_000
+_MOST_SAMPLES = 15_000
 _BLOCKS = 10  # along each side: samples of one block may err together
 _HUBER, _TUKEY = 1.345, 4.685  # 95 % efficient on normal residuals
 _MAD_TO_SIGMA = 1.4826

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,8 +11,9 @@ from pipeline.errors import ImpastoError
 from pipeline.formats.asset import ASSET
 from pipeline.formats.boxes import Relief
 from pipeline.formats.calibration import Calibration
-from pipeline.formats.height_field import HeightField
-from pipeline.formats.range_image import Texture
+from pipeline.formats.height_field import HeightField, Placement
+from pipeline.formats.placement_scans import PlacementScan
+from pipeline.formats.range_image import RangeImage, Texture
 from pipeline.formats.reflectance_maps import ReflectanceMaps
 from pipeline.geometry.camera import Camera, Lens
 from pipeline.geometry.rigid import RigidTransform
@@ -141,3 +143,21 @@ def test_what_does_not_fit_together_is_refused() -> None:
     )  # fmt: skip
     with pytest.raises(ImpastoError, match="60 x 5"):
         run(inputs(other), Config(), Recorder())
+
+
+def test_placements_need_their_pictures() -> None:
+    plain = inputs()
+    moved = RigidTransform(np.eye(3), np.array([40.0, 0, 0])) @ plain.height_field.scan_from_canvas
+    places = (
+        Placement("first", plain.height_field.scan_from_canvas),
+        Placement("second", moved),
+    )
+    several = replace(plain, height_field=replace(plain.height_field, placements=places))
+    with pytest.raises(ImpastoError, match="'second'"):
+        run(several, Config(), Recorder())
+    nothing = RangeImage(np.zeros((160, 200, 3), np.float32), np.zeros((160, 200), np.float32))
+    second = PlacementScan("second", nothing, plain.texture)
+    asset = run(replace(several, placements=(second,)), Config(), Recorder()).asset
+    assert np.isfinite(asset.diffuse).all()
+    single = run(plain, Config(), Recorder()).asset
+    assert not np.array_equal(asset.diffuse, single.diffuse)

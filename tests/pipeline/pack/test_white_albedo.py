@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pipeline.formats.height_field import HeightField
+from pipeline.formats.height_field import HeightField, Placement
 from pipeline.geometry.camera import Camera, Lens
 from pipeline.geometry.rigid import RigidTransform, rotation_about_axis
 from pipeline.pack.white_albedo import (
+    blended_albedo,
     fill_from_nearest,
     relative_albedo,
     scale_for,
@@ -20,10 +23,12 @@ def albedo_at(x, y):
     return 0.5 + 0.3 * np.sin(x / 12) * np.cos(y / 9)
 
 
-def scene(bump: float):
+def scene(bump: float, shift: float = 0.0):
     """A Lambertian sheet 100 x 80 mm, tilted before a camera, lit from LAMP: field, picture."""
     tilt = rotation_about_axis(np.zeros(3), np.array([1.0, 1, 0]), 12)
-    scan_from_canvas = RigidTransform(np.diag([1.0, -1, -1]), np.array([-50.0, -40, 400])) @ tilt
+    scan_from_canvas = (
+        RigidTransform(np.diag([1.0, -1, -1]), np.array([-50.0 + shift, -40, 400])) @ tilt
+    )
     rows, columns = 81, 101
     x, y = np.arange(columns), -np.arange(rows)[:, None]
     heights = (bump * np.sin(x / 8) * np.cos(y / 7)).astype(np.float32)
@@ -64,6 +69,34 @@ def test_colour_stays_colour_and_what_is_not_seen_is_not_known() -> None:
     known = np.isfinite(found).all(axis=-1)
     assert 0.4 < known.mean() < 0.9
     assert found[known][:, 1] == pytest.approx(0.5 * truth[known], rel=5e-3)
+
+
+def test_pictures_of_two_placements_are_blended_to_one_exposure() -> None:
+    field, left, camera, truth = scene(0.0, shift=60.0)
+    other, right, _, _ = scene(0.0, shift=-60.0)
+    alone = relative_albedo(field, left, camera, LAMP)
+    assert 0.5 < np.isfinite(alone[..., 0]).mean() < 0.95  # neither shows the whole canvas
+    whole = replace(
+        field,
+        placements=(
+            Placement("first", field.scan_from_canvas),
+            Placement("b", other.scan_from_canvas),
+        ),
+    )
+    found = blended_albedo(whole, [left, 1.7 * right], camera, LAMP)[..., 0]
+    assert found == pytest.approx(truth, rel=5e-3)
+
+
+def test_pictures_that_do_not_overlap_keep_their_exposures() -> None:
+    field, picture, camera, truth = scene(0.0)
+    left, right = picture.copy(), 2 * picture
+    left[:, 240:], right[:, :260] = np.nan, np.nan
+    here = Placement("first", field.scan_from_canvas)
+    found = blended_albedo(replace(field, placements=(here, here)), [left, right], camera, LAMP)
+    ratio = found[..., 0] / truth
+    assert ratio[:, 10] == pytest.approx(1, rel=5e-3)
+    assert ratio[:, 90] == pytest.approx(2, rel=5e-3)
+    assert np.isnan(ratio[40, 50])
 
 
 def test_noise_of_the_heights_is_not_noise_of_the_colour() -> None:
