@@ -50,6 +50,10 @@ class Config(BaseModel):
         le=5,
         description="Width (standard deviation) of the resampling kernel, in sample distances.",
     )
+    widen: bool = Field(
+        default=True,
+        description="Widen the kernel, up to twice, where noise hides the finest relief anyway.",
+    )
     erosion_px: int = Field(
         default=2,
         ge=0,
@@ -105,6 +109,7 @@ def run(inputs: Inputs, config: Config, log: Log) -> Outputs:
 def _sample(inputs: Inputs, config: Config, log: Log) -> _Sampled:
     """Sample the canvas of one placement, the first."""
     from pipeline.extract.canvas import find_canvas, ray_factor
+    from pipeline.extract.kernel import widest_kernel
     from pipeline.extract.resample import check_size, grid_around, resample
 
     camera = inputs.calibration.camera(inputs.calibration.scan_camera)
@@ -114,10 +119,16 @@ def _sample(inputs: Inputs, config: Config, log: Log) -> _Sampled:
     spacing = config.spacing_mm or distance
     grid = grid_around(found.points[:, :2], spacing)
     check_size(grid)
+    deviation = sigma[found.region.mask]
     kernel = config.kernel_samples * max(distance, spacing)
+    if config.widen:
+        narrow, kernel = kernel, widest_kernel(found.points, deviation, grid, kernel)
+        if kernel == narrow:
+            log.skipped("a wider kernel", "the relief stands above the noise")
+    log.metric("kernel_mm", kernel)
     heights, deviation = resample(
         found.points,
-        sigma[found.region.mask],
+        deviation,
         grid,
         kernel,
         progress=lambda done, total: log.progress(done, total, "rows"),
@@ -239,4 +250,4 @@ def _report(
         log.warning(f"{left} holes are wider than extract.fill_mm and stay open")
 
 
-STAGE = Stage("extract", version=2, inputs=Inputs, outputs=Outputs, config=Config, run=run)
+STAGE = Stage("extract", version=3, inputs=Inputs, outputs=Outputs, config=Config, run=run)
