@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline.extract.patch import PatchMap, blur
-from pipeline.geometry.height_grid import sample_bilinear
+from pipeline.extract.overlap import FEWEST, Layers, layers_of, look_up
+from pipeline.extract.patch import PatchMap
 from pipeline.geometry.rigid import RigidTransform
 
 Array = NDArray[np.float64]
 
 _SMOOTHING = (8.0, 3.0, 0.0)  # samples: from the start's error down to the maps' own detail
-_SLOPE_WIDTH = 1.0  # samples
 _ITERATIONS = 25
 _SETTLED_MM = 1e-4
-_MOST_SAMPLES = 12_000  # of each overlap, from each side
-_FEWEST = 200
 _HUBER, _FAR = 1.5, 6.0  # robust standard deviations
 _MAD_TO_SIGMA = 1.4826
 _CORRELATED = 7.0  # samples that share their noise through the maps' kernel
@@ -80,28 +77,6 @@ class Registration:
     overlaps: tuple[Overlap, ...]
 
 
-@dataclass(frozen=True)
-class _Layers:
-    """A map with its slopes: height, its slopes, detail, its slopes, sigma."""
-
-    map: PatchMap
-    stack: NDArray[np.float64]
-
-    def points(self) -> tuple[Array, Array]:
-        """Return all known points (N, 3) and their layers (N, 7)."""
-        row, column = np.nonzero(np.isfinite(self.stack[..., :3]).all(axis=2))
-        x = self.map.left_mm + column * self.map.spacing_mm
-        y = self.map.top_mm - row * self.map.spacing_mm
-        layers = self.stack[row, column]
-        return np.column_stack([x, y, layers[:, 0]]), layers
-
-    def at(self, points: Array) -> Array:
-        """Return the layers (N, 7) under points (N, 3); NaN outside."""
-        column = (points[:, 0] - self.map.left_mm) / self.map.spacing_mm
-        row = (self.map.top_mm - points[:, 1]) / self.map.spacing_mm
-        return np.asarray(sample_bilinear(self.stack, column, row))
-
-
 def register(maps: list[PatchMap], start: list[RigidTransform]) -> Registration:
     """Refine the patches' motions until all overlaps agree as well as they can.
 
@@ -130,7 +105,7 @@ def register(maps: list[PatchMap], start: list[RigidTransform]) -> Registration:
     centre = np.mean([m.apply(_middle(one)) for m, one in zip(motions, maps, strict=True)], axis=0)
     system = np.eye(6 * (count - 1))
     for width in _SMOOTHING:
-        layers = [_layers(one, width) for one in maps]
+        layers = [layers_of(one, width) for one in maps]
         points = [one.points() for one in layers]
         for _ in range(_ITERATIONS):
             system, right = _normal_equations(layers, points, motions, centre)
@@ -163,72 +138,8 @@ def _middle(one: PatchMap) -> Array:
     return np.array([one.left_mm + half * (columns - 1), one.top_mm - half * (rows - 1), 0.0])
 
 
-def _layers(one: PatchMap, width: float) -> _Layers:
-    stack = []
-    for image in (one.heights, one.detail):
-        smooth = blur(image, width)
-        # Slopes that are mere noise would pass for relief that holds the patch in place.
-        down, right = np.gradient(blur(smooth, _SLOPE_WIDTH), one.spacing_mm)
-        stack += [smooth, right, -down]
-    return _Layers(one, np.stack([*stack, one.sigma], axis=-1))
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Points of one patch over another: residuals and what they turn with, in common axes."""
-
-    points: Array
-    normal: Array  # the other's, scaled so that its z is 1
-    height: Array
-    sigma: Array
-    gradient: Array
-    albedo: Array
-    stride: float
-
-
-def _pairs(
-    layers: list[_Layers],
-    points: list[tuple[Array, Array]],
-    motions: list[RigidTransform],
-    i: int,
-    j: int,
-) -> _Pairs | None:
-    """Look the points of patch i up in patch j; None where they do not overlap."""
-    own, values = points[i]
-    back = motions[j].inverse() @ motions[i]
-    there = back.apply(own)
-    box = _bounds(layers[j].map)
-    over = np.flatnonzero(((there[:, :2] >= box[0]) & (there[:, :2] <= box[1])).all(axis=1))
-    stride = max(1, len(over) // _MOST_SAMPLES)
-    over = over[::stride]
-    other = layers[j].at(there[over])
-    good = np.isfinite(other[:, :3]).all(axis=1) & np.isfinite(other[:, 6])
-    if np.count_nonzero(good) < _FEWEST:
-        return None
-    over, other, there = over[good], other[good], there[over[good]]
-    values = values[over]
-    flat = np.zeros(len(over))
-    turn = motions[j]
-    return _Pairs(
-        motions[i].apply(own[over]),
-        turn.rotate(np.column_stack([-other[:, 1], -other[:, 2], flat + 1])),
-        there[:, 2] - other[:, 0],
-        np.hypot(values[:, 6], other[:, 6]),
-        turn.rotate(np.column_stack([other[:, 4], other[:, 5], flat])),
-        other[:, 3] - values[:, 3],
-        float(stride),
-    )
-
-
-def _bounds(one: PatchMap) -> tuple[Array, Array]:
-    rows, columns = one.heights.shape
-    low = np.array([one.left_mm, one.top_mm - (rows - 1) * one.spacing_mm])
-    high = np.array([one.left_mm + (columns - 1) * one.spacing_mm, one.top_mm])
-    return low, high
-
-
 def _normal_equations(
-    layers: list[_Layers],
+    layers: list[Layers],
     points: list[tuple[Array, Array]],
     motions: list[RigidTransform],
     centre: Array,
@@ -238,7 +149,7 @@ def _normal_equations(
     system, right = np.zeros((size, size)), np.zeros(size)
     for i in range(len(layers)):
         for j in range(len(layers)):
-            if i == j or (found := _pairs(layers, points, motions, i, j)) is None:
+            if i == j or (found := look_up(layers, points, motions, i, j)) is None:
                 continue
             arm = found.points - centre
             for residual, direction, sigma, together in (
@@ -248,7 +159,7 @@ def _normal_equations(
                 # Two sides of each overlap, and samples that share errors, count for fewer.
                 share = 0.5 * min(1.0, found.stride / together)
                 good = np.isfinite(residual) & np.isfinite(direction).all(axis=1)
-                if np.count_nonzero(good) < _FEWEST:
+                if np.count_nonzero(good) < FEWEST:
                     continue
                 r, s = residual[good], sigma[good]
                 spread = _MAD_TO_SIGMA * float(np.median(np.abs(r / s)))
@@ -275,13 +186,13 @@ def _scaled(system: Array) -> Array:
 
 
 def _overlap(
-    layers: list[_Layers],
+    layers: list[Layers],
     points: list[tuple[Array, Array]],
     motions: list[RigidTransform],
     i: int,
     j: int,
 ) -> Overlap | None:
-    found = _pairs(layers, points, motions, i, j)
+    found = look_up(layers, points, motions, i, j)
     if found is None:
         return None
     plane = np.column_stack([found.points[:, :2], np.ones(len(found.points))])

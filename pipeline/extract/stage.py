@@ -145,7 +145,8 @@ def _sample(inputs: Inputs, config: Config, log: Log) -> _Sampled:
 
 def _sample_several(inputs: Inputs, config: Config, log: Log) -> _Sampled | None:
     """Put the placements together; None if none can be joined to the first."""
-    from pipeline.extract.placements import find_together, merge, registration_rms_mm
+    from pipeline.extract.merge import merge, registration_rms_mm
+    from pipeline.extract.placements import find_together
 
     calibration = inputs.calibration
     if calibration.projector is None:
@@ -171,10 +172,12 @@ def _sample_several(inputs: Inputs, config: Config, log: Log) -> _Sampled | None
         spacing,
         config.kernel_samples,
         straighten=config.straighten,
+        widen=config.widen,
         progress=lambda done, total: log.progress(done, total, "placements sampled"),
     )
     log.metric("registration_rms_um", 1000 * registration_rms_mm(together.registration))
     log.metric("share_overlap", merged.share_overlap)
+    log.metric("kernel_mm", merged.kernel_mm)
     origin = RigidTransform(np.eye(3), np.array([merged.grid.left_mm, merged.grid.top_mm, 0.0]))
     field = HeightField(
         merged.heights,
