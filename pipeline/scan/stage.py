@@ -18,6 +18,7 @@ from pipeline.formats.range_image import RANGE, TEXTURE, RangeImage, Texture
 
 LEAST_AGREEMENT = 0.9
 LARGEST_FRAME_SHIFT = 0.3
+LARGEST_MOTION_PX = 0.25
 MOST_SATURATED = 0.6
 
 
@@ -193,9 +194,15 @@ def _report(decoded: dict[str, float], measured: dict[str, float], log: Log) -> 
                 f"a fringe along {axis} is {math.degrees(shift):.0f} degrees from where "
                 "capture.json puts it; check the order of the frames"
             )
+        moved = decoded.get(f"motion_px_{axis}", 0.0)
+        if moved > LARGEST_MOTION_PX:
+            log.warning(
+                f"the picture moved by {moved:.1f} px before or during the fringes along {axis}: "
+                "something was touched; record the sequence again"
+            )
         saturated = decoded.get(f"share_steps_saturated_{axis}", 0.0)
         if saturated > MOST_SATURATED:
             log.warning(f"{saturated:.0%} of the fringes along {axis} are saturated and not used")
 
 
-STAGE = Stage("scan", version=2, inputs=Inputs, outputs=Outputs, config=Config, run=run)
+STAGE = Stage("scan", version=3, inputs=Inputs, outputs=Outputs, config=Config, run=run)

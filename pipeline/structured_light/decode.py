@@ -24,6 +24,7 @@ from pipeline.structured_light.gains import (
     redundant,
 )
 from pipeline.structured_light.gray import bit_score, cells
+from pipeline.structured_light.motion import shift_between
 from pipeline.structured_light.noise import NoiseModel, excess, noise_model
 from pipeline.structured_light.plan import AxisPlan, PhaseGroup, Plan, make_plan
 from pipeline.structured_light.unwrap import (
@@ -123,6 +124,7 @@ class _Decoder:
             self.plain = self.white - self.black
         self.fringes: Fringes | None = None
         self.lit: Image | None = None
+        self.still: Image | None = None
 
     def radiance(self) -> tuple[Image, str]:
         """Return the projector's light alone, and where it was taken from."""
@@ -190,6 +192,7 @@ class _Decoder:
             found = measured_noise(stack, shifts, basis, seconds, self.reader.full_scale)
             noise = noise if found is None else found
         fringes = solve_fringes(stack, basis, seconds, self.reader.full_scale, noise)
+        self._watch(name, fringes.offset)
         fringes = self._without_harmonic(name, fringes, shifts)
         self._note(f"share_steps_saturated_{name}", fringes.share_dropped, max)
         if redundancy > 0 and noise.given:
@@ -212,6 +215,13 @@ class _Decoder:
             return fringes
         self._note(f"harmonic_{name}", abs(found[1]), max)
         return replace(fringes, phase=found[0])
+
+    def _watch(self, name: str, light: Image) -> None:
+        """Note how far what is seen has moved since the first picture in even light."""
+        if self.still is None:
+            self.still = light if self.white is None else self.white
+        if self.still is not light:
+            self._note(f"motion_px_{name}", shift_between(self.still, light), max)
 
     def _note(self, key: str, value: float, merge: Callable[[float, float], float]) -> None:
         self.statistics[key] = (

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 
+import cv2
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -86,6 +87,20 @@ def test_frames_in_a_wrong_order_are_warned_of(rig):
     (warning,) = [text for text in log.warnings if "the order of the frames" in text]
     shift = int(re.search(r"is (\d+) degrees from where", warning)[1])
     assert shift == pytest.approx(45, abs=3)
+
+
+@pytest.mark.parametrize("axes", ["x", "xy"])
+def test_an_object_that_was_moved_is_warned_of(rig, axes):
+    texture = cv2.GaussianBlur(np.random.default_rng(4).random((90, 120)), (0, 0), 1.2)
+    made = rig(albedo=0.2 + 0.7 * (texture - texture.min()) / np.ptp(texture))
+    bundle, before, after = made.bundle(made.patterns(axes)), Log(), Log()
+    run(Inputs(bundle, calibration(made)), Config(), before)
+    assert not [text for text in before.warnings if "moved" in text]
+    names = list(bundle.images)
+    for name in names[len(names) // 2 :]:
+        bundle.images[name] = np.roll(bundle.images[name], 1, axis=1)
+    run(Inputs(bundle, calibration(made)), Config(), after)
+    assert any("moved by 1." in text for text in after.warnings)
 
 
 def test_every_placement_is_scanned(rig):
